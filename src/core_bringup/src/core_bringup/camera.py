@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Camera model and the images of one frame; rendering itself is in pybullet_renderer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """A pinhole camera without distortion.
+
+    Source: [CORE] implementation details, whose simulated camera is 500 x 320 px with fx 274.9, fy 376.7, cx 250, cy 160.
+    Pixel (u, v) is centred at the integer: x = z (u - cx) / fx, y = z (v - cy) / fy in the optical frame.
+    """
+
+    width_px: int = 500
+    height_px: int = 320
+    fx_px: float = 274.9
+    fy_px: float = 376.7
+    cx_px: float = 250.0
+    cy_px: float = 160.0
+    near_m: float = 0.05
+    far_m: float = 30.0
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Images of one instant, all registered to the colour image.
+
+    Attributes:
+        color: (h, w, 3) uint8 rgb.
+        depth_m: (h, w) float32 distance along the optical axis [m], NaN where nothing was hit.
+        labels: (h, w) uint16 object id of the world, 0 where nothing was hit or the robot itself is seen.
+    """
+
+    color: np.ndarray
+    depth_m: np.ndarray
+    labels: np.ndarray

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Facts of robot and world files as text, so that a launch file can hand them to nodes that know neither.
+
+    rosrun core_bringup describe urdf ROBOT           the robot_description
+    rosrun core_bringup describe footprint ROBOT      {length_m, width_m} of the footprint
+    rosrun core_bringup describe waypoints WORLD TASK [[x, y], ...] in odom [m]
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Sequence
+
+import yaml
+
+from core_bringup.exceptions import BringupError
+from core_bringup.quadruped.model import urdf_text
+from core_bringup.robot import RobotConfig
+from core_bringup.world import load_world, task_of
+
+
+def urdf(robot: str) -> str:
+    """URDF of a robot file."""
+    return urdf_text(RobotConfig.load(robot))
+
+
+def footprint(robot: str) -> str:
+    """Footprint of a robot file as YAML, lengths in m."""
+    config = RobotConfig.load(robot)
+    return yaml.safe_dump({"length_m": config.footprint_length_m, "width_m": config.footprint_width_m})
+
+
+def waypoints(world: str, task: str) -> str:
+    """Waypoints of a task as YAML, in odom [m]; the last one is the goal."""
+    return yaml.safe_dump([[float(x), float(y)] for x, y in task_of(load_world(world), task).waypoints_m])
+
+
+FACTS = {"urdf": (urdf, 1), "footprint": (footprint, 1), "waypoints": (waypoints, 2)}
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Print the fact asked for; 0, or 2 with one line on stderr for bad input."""
+    if not arguments or arguments[0] not in FACTS or len(arguments) - 1 != FACTS[arguments[0]][1]:
+        print(__doc__.strip(), file=sys.stderr)
+        return 2
+    try:
+        print(FACTS[arguments[0]][0](*arguments[1:]))
+    except BringupError as error:
+        print(f"describe: {error}", file=sys.stderr)
+        return 2
+    return 0

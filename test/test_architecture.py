@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The layers of HOUSE_STYLE, checked: library modules live without ROS, and the arrows between packages point one way."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = ("core_bringup", "core_control", "core_perception")
+MAY_IMPORT = {"core_bringup": {"core_control", "core_perception"}, "core_control": set(), "core_perception": set()}
+PYBULLET_FILES = {"pybullet_backend.py", "pybullet_renderer.py", "pybullet_scene.py"}
+ROS_MODULES = ("rospy", "rosgraph", "roslib", "tf2_ros", "tf", "cv_bridge", "std_msgs", "geometry_msgs", "sensor_msgs", "nav_msgs", "core_msgs",
+               "diagnostic_msgs", "visualization_msgs")
+
+
+def modules(package):
+    root = ROOT / "src" / package / "src"
+    return [path for path in sorted((root / package).rglob("*.py")) if path.name != "__init__.py"]
+
+
+def library_modules(package):
+    return [path for path in modules(package) if "ros" not in path.relative_to(ROOT / "src" / package / "src" / package).parts[:-1]]
+
+
+def imported_roots(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.split(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module.split(".")[0]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_library_imports_without_ros_and_pybullet(package):
+    names = [".".join(path.relative_to(ROOT / "src" / package / "src").with_suffix("").parts) for path in library_modules(package)
+             if path.name not in PYBULLET_FILES]
+    assert names
+    blocked = ROS_MODULES + ("pybullet",)
+    program = ("import sys, importlib\n"
+               "class Wall:\n"
+               "    def find_spec(self, name, path=None, target=None):\n"
+               "        if name.split('.')[0] in %r: raise ImportError('blocked: ' + name)\n"
+               "sys.meta_path.insert(0, Wall())\n"
+               "sys.path[:0] = %r\n"
+               "for name in %r: importlib.import_module(name)\n"
+               % (blocked, [str(ROOT / "src" / other / "src") for other in PACKAGES], names))
+    result = subprocess.run([sys.executable, "-c", program], stderr=subprocess.PIPE, check=False, text=True)
+    assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_arrows_between_packages_point_one_way(package):
+    others = set(PACKAGES) - {package}
+    wrong = {str(path): root for path in modules(package) for root in imported_roots(path) if root in others - MAY_IMPORT[package]}
+    assert not wrong
+
+
+def test_only_the_pybullet_files_import_pybullet():
+    importers = {path.name for package in PACKAGES for path in modules(package) if "pybullet" in set(imported_roots(path))}
+    assert importers
+    assert importers <= PYBULLET_FILES
+
+
+def test_library_headers_of_the_map_are_free_of_ros():
+    include = ROOT / "src" / "core_perception" / "include" / "core_perception"
+    headers = [path for path in include.glob("*.h") if path.stem not in ("conversions", "semantic_map_node")]
+    assert headers
+    wrong = [path.name for path in headers if any(word in path.read_text() for word in ("<ros/", "_msgs/", "<tf2_ros/"))]
+    assert not wrong
+
+
+def test_ground_truth_is_read_by_the_simulated_segmenter_alone():
+    readers = {path.name for package in ("core_perception", "core_control") for path in modules(package) if "ground_truth" in path.read_text()}
+    assert readers <= {"simulated.py", "segmenter_node.py", "params.py"}
