@@ -24,7 +24,7 @@ class RobotState:
         joint_positions_rad: (n,) joint angles.
         joint_velocities_radps: (n,) joint speeds.
         foot_contacts: per leg FR, FL, RR, RL: the foot touches something.
-        fallen: the trunk touches something or is tilted beyond what a walk needs.
+        fallen: the trunk lies on a surface or is tilted beyond what a walk needs; bumping into an object is no fall.
     """
 
     time_s: float

@@ -2,7 +2,8 @@
 """Facts of robot and world files as text, so that a launch file can hand them to nodes that know neither.
 
     rosrun core_bringup describe urdf ROBOT           the robot_description
-    rosrun core_bringup describe footprint ROBOT      {length_m, width_m} of the footprint
+    rosrun core_bringup describe length ROBOT         length of the footprint [m]
+    rosrun core_bringup describe width ROBOT          width of the footprint [m]
     rosrun core_bringup describe waypoints WORLD TASK [[x, y], ...] in odom [m]
 """
 
@@ -14,28 +15,31 @@ from typing import Sequence
 import yaml
 
 from core_bringup.exceptions import BringupError
-from core_bringup.quadruped.model import urdf_text
 from core_bringup.robot import RobotConfig
-from core_bringup.world import load_world, task_of
+from core_bringup.world import load_world
 
 
 def urdf(robot: str) -> str:
     """URDF of a robot file."""
-    return urdf_text(RobotConfig.load(robot))
+    return RobotConfig.load(robot).urdf_text()
 
 
-def footprint(robot: str) -> str:
-    """Footprint of a robot file as YAML, lengths in m."""
-    config = RobotConfig.load(robot)
-    return yaml.safe_dump({"length_m": config.footprint_length_m, "width_m": config.footprint_width_m})
+def length(robot: str) -> str:
+    """Length of the footprint of a robot file [m]."""
+    return str(RobotConfig.load(robot).footprint.length_m)
+
+
+def width(robot: str) -> str:
+    """Width of the footprint of a robot file [m]."""
+    return str(RobotConfig.load(robot).footprint.width_m)
 
 
 def waypoints(world: str, task: str) -> str:
     """Waypoints of a task as YAML, in odom [m]; the last one is the goal."""
-    return yaml.safe_dump([[float(x), float(y)] for x, y in task_of(load_world(world), task).waypoints_m])
+    return yaml.safe_dump([[float(x), float(y)] for x, y in load_world(world).task(task).waypoints_m])
 
 
-FACTS = {"urdf": (urdf, 1), "footprint": (footprint, 1), "waypoints": (waypoints, 2)}
+FACTS = {"urdf": (urdf, 1), "length": (length, 1), "width": (width, 1), "waypoints": (waypoints, 2)}
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -50,6 +50,8 @@ def command_change_mps(record: TickRecord) -> float:
     """Speed the filter took from or added to the command at the end of the footprint [m/s].
 
     change = |(dx, dy)| + LEVER_ARM_M |dw|   with (dx, dy, dw) = u_safe - u_nominal
+
+    NaN where there was no nominal command.
     """
     dx, dy, dw = (a - b for a, b in zip(record.filter.u_safe, record.filter.u_nominal))
     return math.hypot(dx, dy) + LEVER_ARM_M * abs(dw)
@@ -61,9 +63,8 @@ def nominal_pushes(record: TickRecord) -> bool:
 
 
 def filter_intervenes(record: TickRecord) -> bool:
-    """The filter changed the command by more than MIN_CHANGE_MPS; a command that is not a number was changed too."""
-    change = command_change_mps(record)
-    return not change <= MIN_CHANGE_MPS
+    """The filter changed the command by more than MIN_CHANGE_MPS; where there is no command, nothing can be changed."""
+    return command_change_mps(record) > MIN_CHANGE_MPS + 1e-9  # the difference of two decimals is not exact
 
 
 def filter_stops(record: TickRecord) -> bool:
@@ -77,7 +78,7 @@ def count_interventions(records: Sequence[TickRecord]) -> int:
 
 
 def count_false_stops(records: Sequence[TickRecord], task) -> int:
-    """Number of stops longer than MIN_FALSE_STOP_S on a safe task; 0 on an unsafe one, where a stop is what is wanted."""
+    """Number of stops longer than MIN_FALSE_STOP_S on a safe task; 0 on an unsafe one, where to stop is right."""
     if task.expectation != "safe":
         return 0
     episodes = find_episodes(_times(records), [filter_stops(r) for r in records])
@@ -114,8 +115,13 @@ def path_length_m(records: Sequence[TickRecord]) -> float:
 def trajectory_row(record: TickRecord) -> Tuple[float, ...]:
     """(17,) stamp, pose (7), twist (6), applied command (3) of one tick: what the hash is taken over."""
     o = record.odometry
-    return (record.time_s,) + tuple(o.p_odom_base) + tuple(o.q_odom_base) + tuple(o.v_base) + tuple(o.w_base) + tuple(
-        record.filter.u_safe
+    return (
+        (record.time_s,)
+        + tuple(o.p_odom_base)
+        + tuple(o.q_odom_base)
+        + tuple(o.v_base)
+        + tuple(o.w_base)
+        + tuple(record.filter.u_safe)
     )
 
 
@@ -142,7 +148,7 @@ def compute_figures(records: Sequence[TickRecord], task) -> Dict[str, object]:
     Returns:
         Keys of result.json; None stands for a figure the task or an empty run does not have.
     """
-    changes = [command_change_mps(r) for r in records]
+    changes = [change for change in map(command_change_mps, records) if math.isfinite(change)]
     finite_h = [r.filter.h_m for r in records if math.isfinite(r.filter.h_m)]
     modes = Counter(r.filter.mode for r in records)
     return {
@@ -157,8 +163,8 @@ def compute_figures(records: Sequence[TickRecord], task) -> Dict[str, object]:
         "base_entered": any(r.truth.base_inside for r in records),
         "fallen": any(r.truth.fallen for r in records),
         "min_h_m": min(finite_h, default=None),
-        "intervention_mean_mps": finite_or_none(sum(changes) / len(changes)) if changes else None,
-        "intervention_max_mps": finite_or_none(max(changes)) if changes else None,
+        "intervention_mean_mps": sum(changes) / len(changes) if changes else None,
+        "intervention_max_mps": max(changes, default=None),
         "path_length_m": path_length_m(records),
         "ticks": len(records),
         "ticks_per_mode": {mode: modes[mode] for mode in MODE_NAMES if modes[mode]},

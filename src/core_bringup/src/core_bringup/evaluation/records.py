@@ -89,10 +89,10 @@ class TickJoiner:
 
     Args:
         lockstep: join by equal stamps.
-        first_tick: number of the first tick of a run (lock-step only).
+        first_tick: number of the first tick of a run (lock-step only); the world's schedule begins with 1.
     """
 
-    def __init__(self, lockstep: bool, first_tick: int = 0):
+    def __init__(self, lockstep: bool, first_tick: int = 1):
         """Start empty."""
         self._lockstep = lockstep
         self._next_tick = first_tick

@@ -6,7 +6,11 @@ All angles zero is the leg straight down; a negative knee bends it backwards-up,
 
 from __future__ import annotations
 
+from typing import Tuple
+
 import numpy as np
+
+from core_bringup.quadruped.params import LegParams
 
 LEGS = ("fr", "fl", "rr", "rl")
 JOINTS = ("hip_x", "hip_y", "knee")
@@ -25,18 +29,18 @@ class LegKinematics:
         z =         d s0 + l c0
     """
 
-    def __init__(self, leg):
+    def __init__(self, leg: LegParams):
         """Keep the lengths of LegParams leg."""
         self._thigh_m, self._shank_m = leg.thigh_m, leg.shank_m
         self._d_m = LEFT * leg.hip_to_thigh_m
         self.p_base_hip = np.stack([FRONT * leg.hip_x_m, LEFT * leg.hip_y_m, np.zeros(4)], axis=1)
         self.p_base_thigh = self.p_base_hip + np.stack([np.zeros(4), self._d_m, np.zeros(4)], axis=1)
 
-    def compute_feet(self, q_rad):
+    def compute_feet(self, q_rad: np.ndarray) -> np.ndarray:
         """Foot centres (4, 3) [m] in base_link at joint angles (4, 3)."""
         return self.compute_feet_and_jacobians(q_rad)[0]
 
-    def compute_feet_and_jacobians(self, q_rad):
+    def compute_feet_and_jacobians(self, q_rad: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
         """Foot centres and their Jacobians.
 
         Args:
@@ -63,7 +67,7 @@ class LegKinematics:
             jacobian[:, 2, column] = c0 * daxis
         return p, jacobian
 
-    def compute_joints(self, p_base_foot):
+    def compute_joints(self, p_base_foot: np.ndarray) -> np.ndarray:
         """Joint angles that put the feet at given places; a place out of reach is met in its direction.
 
             r = p - hip,  l = -sqrt(ry^2 + rz^2 - d^2),  q0 = atan2(rz, ry) - atan2(l, d)

@@ -9,27 +9,29 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass, field
-from typing import Tuple
+from typing import Any, Tuple, Type, TypeVar
 
 from core_bringup.exceptions import ConfigError
 
+T = TypeVar("T")
 
-def finite():
+
+def finite() -> Any:
     """A field that takes any finite number."""
     return field(metadata={"sign": "any"})
 
 
-def vector(length, sign="positive"):
+def vector(length: int, sign: str = "positive") -> Any:
     """A field that takes a list of numbers, all > 0 unless sign is 'any' (finite) or 'fraction' (0 < x < 1)."""
     return field(metadata={"length": length, "sign": sign})
 
 
-def fraction():
+def fraction() -> Any:
     """A field that takes a number between 0 and 1, both excluded."""
     return field(metadata={"sign": "fraction"})
 
 
-def section(cls):
+def section(cls: type) -> Any:
     """A field that takes a mapping, read as the dataclass cls."""
     return field(metadata={"section": cls})
 
@@ -122,7 +124,7 @@ class QuadrupedParams:
 _ALLOWED = {"any": "a finite number", "positive": "a finite number > 0", "fraction": "a number between 0 and 1"}
 
 
-def read_section(cls, data, source, key=""):
+def read_section(cls: Type[T], data: Any, source: str, key: str = "") -> T:
     """Read a mapping as the dataclass cls, field by field.
 
     Args:
@@ -153,7 +155,7 @@ def read_section(cls, data, source, key=""):
     return cls(**values)
 
 
-def _read_field(item, value, source, key):
+def _read_field(item: dataclasses.Field, value: Any, source: str, key: str) -> Any:
     if "section" in item.metadata:
         return read_section(item.metadata["section"], value, source, key)
     if item.type == "str":
@@ -168,7 +170,7 @@ def _read_field(item, value, source, key):
     return tuple(_read_number(item, entry, source, f"{key}[{i}]") for i, entry in enumerate(value))
 
 
-def _read_number(item, value, source, key):
+def _read_number(item: dataclasses.Field, value: Any, source: str, key: str) -> float:
     kinds = (int,) if item.type == "int" else (int, float)
     good = isinstance(value, kinds) and not isinstance(value, bool) and math.isfinite(value)
     sign = item.metadata.get("sign", "positive")
@@ -177,7 +179,7 @@ def _read_number(item, value, source, key):
     return value if item.type == "int" else float(value)
 
 
-def _allowed(item):
+def _allowed(item: dataclasses.Field) -> str:
     if "section" in item.metadata:
         return "a mapping with " + ", ".join(f.name for f in dataclasses.fields(item.metadata["section"]))
     if item.type == "str":

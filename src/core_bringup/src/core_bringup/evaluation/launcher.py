@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Start one roslaunch graph on a master port of its own, read what it prints, and leave nothing of it behind."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import queue
+import re
+import signal
+import socket
+import subprocess
+import threading
+import time
+import uuid
+from pathlib import Path
+from typing import IO, Dict, Iterator, List, Optional, Sequence
+
+RUN_ID_VARIABLE = "CORE_RUN_ID"
+PR_SET_PDEATHSIG = 1  # linux/prctl.h
+# How long each signal may take [s]; roslaunch itself gives its nodes 15 s after SIGINT.
+STOP_DEADLINES_S = ((signal.SIGINT, 17.0), (signal.SIGTERM, 4.0), (signal.SIGKILL, 2.0))
+ANSI_CODE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|\x1b\][^\x07]*\x07|\r")
+
+
+class RoslaunchProcess:
+    """A roslaunch child in a session of its own; use as a context manager.
+
+    Every process of the graph inherits an environment variable with a value no other run has; what is still alive
+    after roslaunch has ended is found by it. Should this process die without cleaning up, the kernel sends SIGINT to
+    roslaunch.
+
+    Args:
+        command: the command without port, for example ("roslaunch", "core_bringup", "demo.launch").
+        log_path: file that receives everything the graph prints.
+    """
+
+    def __init__(self, command: Sequence[str], log_path: Path):
+        """Prepare; nothing is started yet."""
+        self._command = list(command)
+        self._log_path = Path(log_path)
+        self._run_id = uuid.uuid4().hex
+        self._lines: queue.Queue[Optional[str]] = queue.Queue()
+        self._process: Optional[subprocess.Popen] = None
+        self._reader: Optional[threading.Thread] = None
+
+    def __enter__(self) -> RoslaunchProcess:
+        """Start roslaunch on a free port."""
+        self._log_path.parent.mkdir(parents=True, exist_ok=True)
+        port = find_free_port()
+        self._process = subprocess.Popen(
+            [self._command[0], "-p", str(port), *self._command[1:]],
+            env=self._environment(port),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            preexec_fn=_die_with_parent,
+        )
+        self._reader = threading.Thread(target=self._read, args=(self._process.stdout,), daemon=True)
+        self._reader.start()
+        return self
+
+    def __exit__(self, *_error) -> None:
+        """Stop whatever is still running; a second Ctrl-C does not interrupt this."""
+        with _signals_held():
+            self.stop()
+
+    @property
+    def exit_code(self) -> Optional[int]:
+        """Exit code of roslaunch; None while it runs."""
+        return self._process.poll()
+
+    def lines(self, idle_s: float = 0.5) -> Iterator[Optional[str]]:
+        """What the graph prints, line by line without colour codes; None when nothing came for idle_s.
+
+        Ends when the graph's output is closed, or soon after roslaunch itself has ended.
+        """
+        ended_at: Optional[float] = None
+        while True:
+            try:
+                line = self._lines.get(timeout=idle_s)
+            except queue.Empty:
+                line = ""
+            if line is None:
+                return
+            yield line or None
+            if self.exit_code is not None:
+                ended_at = ended_at or time.monotonic()
+                if not line and time.monotonic() - ended_at > 2.0:
+                    return
+
+    def stop(self) -> None:
+        """SIGINT, SIGTERM, SIGKILL with deadlines to roslaunch, then the same to what it left behind."""
+        for number, deadline_s in STOP_DEADLINES_S:
+            if self.exit_code is not None:
+                break
+            self._process.send_signal(number)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(deadline_s)
+        for number, deadline_s in STOP_DEADLINES_S[1:]:
+            if not self._signal_leftovers(number):
+                break
+            end = time.monotonic() + deadline_s
+            while time.monotonic() < end and find_processes(RUN_ID_VARIABLE, self._run_id):
+                time.sleep(0.05)
+        self._reader.join(2.0)
+
+    def _signal_leftovers(self, number: int) -> List[int]:
+        leftovers = find_processes(RUN_ID_VARIABLE, self._run_id)
+        for pid in leftovers:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.kill(pid, number)
+        return leftovers
+
+    def _environment(self, port: int) -> Dict[str, str]:
+        environment = dict(os.environ)
+        environment[RUN_ID_VARIABLE] = self._run_id
+        environment["ROS_MASTER_URI"] = f"http://localhost:{port}"
+        environment["ROS_LOG_DIR"] = str((self._log_path.parent / "ros_log").resolve())
+        environment["PYTHONUNBUFFERED"] = "1"
+        if "ROS_IP" not in environment:
+            environment.setdefault("ROS_HOSTNAME", "localhost")
+        for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+            environment.setdefault(name, "1")
+        return environment
+
+    def _read(self, stream: IO[bytes]) -> None:
+        with self._log_path.open("wb") as log:
+            for raw in stream:
+                log.write(raw)
+                log.flush()
+                self._lines.put(ANSI_CODE.sub("", raw.decode("utf-8", "replace")).rstrip("\n"))
+        self._lines.put(None)
+
+
+def find_free_port() -> int:
+    """A TCP port nobody listens on at this moment."""
+    with contextlib.closing(socket.socket(socket.AF_INET, socket.SOCK_STREAM)) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def find_processes(variable: str, value: str) -> List[int]:
+    """Ids of the processes that were started with an environment variable of this value, zombies left out."""
+    wanted = f"{variable}={value}".encode()
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit() and int(entry.name) != os.getpid():
+            with contextlib.suppress(OSError):
+                # The environment of a zombie reads as empty.
+                if wanted in (entry / "environ").read_bytes().split(b"\0"):
+                    found.append(int(entry.name))
+    return sorted(found)
+
+
+def _die_with_parent() -> None:
+    # A shell starts background jobs with SIGINT ignored, and that would be inherited down to every node.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGINT)
+
+
+@contextlib.contextmanager
+def _signals_held() -> Iterator[None]:
+    """Ignore SIGINT and SIGTERM inside the block; only the main thread may do so, others run the block as it is."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    kept = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in kept.items():
+            signal.signal(number, handler)

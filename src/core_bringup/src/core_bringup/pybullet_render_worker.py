@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The child process of PybulletRenderer: draws frames with a PyBullet client of its own."""
+
+from __future__ import annotations
+
+import importlib.util
+import pickle
+import signal
+from multiprocessing.connection import Connection
+from typing import List, Sequence, Tuple
+
+import numpy as np
+import pybullet
+
+from core_bringup.camera import CameraModel
+from core_bringup.exceptions import BringupError
+from core_bringup.pybullet_scene import PybulletScene, write_urdf
+from core_bringup.quadruped.kinematics import JOINT_NAMES
+from core_bringup.quadruped.model import compute_stand_joints
+from core_bringup.robot import RobotConfig
+from core_bringup.world_types import World
+
+SKY_RGB = (188, 208, 228)
+# Where a renderer samples pixel (u, v), in its own image coordinates, less (u, v). Measured against rayTest.
+_SAMPLE_OFFSET_PX = {"tiny": (0.0, 1.0), "egl": (0.5, 0.5)}
+_LIGHT_DISTANCE_M = 20.0
+_BODY_MASK = (1 << 24) - 1
+_OPTICAL_TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def build_projection_matrix(camera: CameraModel, offset_px: Tuple[float, float] = (0.0, 0.0)) -> Tuple[float, ...]:
+    """OpenGL projection of a pinhole camera with fx != fy.
+
+        left, right  = -cx n / fx, (w - cx) n / fx
+        bottom, top  = -(h - cy) n / fy, cy n / fy          with (cx, cy) shifted by offset_px
+
+    Args:
+        camera: CameraModel.
+        offset_px: where the renderer samples a pixel, from its integer coordinate.
+
+    Returns:
+        16 numbers, column by column.
+    """
+    n, fx, fy = camera.near_m, camera.fx_px, camera.fy_px
+    cx, cy = camera.cx_px + offset_px[0], camera.cy_px + offset_px[1]
+    return pybullet.computeProjectionMatrix(
+        -cx * n / fx, (camera.width_px - cx) * n / fx, -(camera.height_px - cy) * n / fy, cy * n / fy, n, camera.far_m
+    )
+
+
+class FramePainter:
+    """A PyBullet client that holds the drawn world and the camera on the robot."""
+
+    def __init__(self, world: World, robot: RobotConfig, camera: CameraModel, renderer: str):
+        """Build the world; arguments as those of PybulletRenderer."""
+        self._camera, self._light = camera, world.lighting
+        self._stand_rad = compute_stand_joints(robot.quadruped).ravel()
+        self._client = pybullet.connect(pybullet.DIRECT)
+        self._engine = pybullet.ER_TINY_RENDERER if renderer == "tiny" else _load_egl(self._client)
+        urdf_path = write_urdf(robot)
+        try:
+            self.scene = PybulletScene(self._client, world, urdf_path)
+        finally:
+            urdf_path.unlink()
+        self._R_base_optical, self._p_base_optical = robot.camera_mount.compute_optical_pose()
+        self._projection = build_projection_matrix(camera, _SAMPLE_OFFSET_PX[renderer])
+
+    def paint(
+        self,
+        p_world_base: np.ndarray,
+        q_world_base: np.ndarray,
+        joint_names: Sequence[str],
+        joint_positions_rad: np.ndarray,
+    ) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Draw a frame; joints default to the stand. Returns color, depth_m, labels as in camera.Frame."""
+        if not joint_names:
+            joint_names, joint_positions_rad = JOINT_NAMES, self._stand_rad
+        self.scene.set_robot(p_world_base, q_world_base, joint_positions_rad, joint_names)
+        camera, light = self._camera, self._light
+        view = self._compute_view_matrix(p_world_base, q_world_base)
+        _, _, rgba, buffer, segments = pybullet.getCameraImage(
+            camera.width_px,
+            camera.height_px,
+            view,
+            self._projection,
+            lightDirection=[float(x) for x in light.direction],
+            lightColor=[float(x) for x in light.color_rgb],
+            lightDistance=_LIGHT_DISTANCE_M,
+            shadow=int(light.shadow),
+            lightAmbientCoeff=light.ambient,
+            lightDiffuseCoeff=light.diffuse,
+            lightSpecularCoeff=light.specular,
+            renderer=self._engine,
+            flags=pybullet.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX,
+            physicsClientId=self._client,
+        )
+        shape = (camera.height_px, camera.width_px)
+        segments = np.asarray(segments, dtype=np.int32).reshape(shape)
+        labels = self._compute_labels(segments)
+        depth = compute_depth(np.asarray(buffer).reshape(shape), camera.near_m, camera.far_m)
+        np.copyto(depth, np.nan, where=labels == 0)
+        color = np.asarray(rgba, dtype=np.uint8).reshape(*shape, 4)[:, :, :3].copy()
+        np.copyto(color, np.array(SKY_RGB, dtype=np.uint8), where=(segments < 0)[:, :, None])
+        return color, depth, labels
+
+    def _compute_labels(self, segments: np.ndarray) -> np.ndarray:
+        """World labels (h, w) uint16; the robot and the sky (-1, which the mask makes the largest body id) are 0."""
+        bodies = self.scene.label_of_body
+        table = np.zeros(max(bodies, default=0) + 2, dtype=np.uint16)
+        for body, label in bodies.items():
+            table[body] = label
+        return np.take(table, segments & _BODY_MASK, mode="clip")
+
+    def _compute_view_matrix(self, p_world_base: np.ndarray, q_world_base: np.ndarray) -> List[float]:
+        """Inverse pose of the camera in OpenGL's axes (y up, looking along -z), 16 numbers column by column."""
+        R_world_base = np.array(pybullet.getMatrixFromQuaternion([float(x) for x in q_world_base])).reshape(3, 3)
+        pose = np.eye(4)
+        pose[:3, :3] = R_world_base @ self._R_base_optical
+        pose[:3, 3] = p_world_base + R_world_base @ self._p_base_optical
+        view = np.eye(4)
+        view[:3, :3], view[:3, 3] = pose[:3, :3].T, -pose[:3, :3].T @ pose[:3, 3]
+        return (_OPTICAL_TO_OPENGL @ view).T.ravel().tolist()
+
+
+def compute_depth(buffer: np.ndarray, near_m: float, far_m: float) -> np.ndarray:
+    """Distance along the optical axis z = f n / (f - (f - n) d) [m], float32, of an OpenGL depth buffer d in [0, 1]."""
+    return (far_m * near_m / (far_m - (far_m - near_m) * buffer.astype(np.float64))).astype(np.float32)
+
+
+def _load_egl(client: int) -> int:
+    spec = importlib.util.find_spec("eglRenderer")
+    if spec is None or spec.origin is None:
+        raise BringupError("renderer egl: PyBullet's eglRenderer plugin is not installed; allowed here: tiny")
+    if pybullet.loadPlugin(spec.origin, "_eglRendererPlugin", physicsClientId=client) < 0:
+        raise BringupError("renderer egl: EGL did not start (no driver or no display device); allowed here: tiny")
+    return pybullet.ER_BULLET_HARDWARE_OPENGL
+
+
+def _answer(painter: FramePainter, name: str, arguments: Tuple) -> bytes:
+    """Bytes of the answer to one request: 8 bytes of head, then the images if it was 'render'."""
+    if name == "render":
+        images = (np.ascontiguousarray(image).tobytes() for image in painter.paint(*arguments))
+        return b"".join([b"F" + bytes(7), *images])
+    getattr(painter.scene, name)(*arguments)
+    return b"D" + bytes(7)
+
+
+def serve(descriptor: int) -> None:
+    """Answer requests on a socket until the other end closes it, be it on purpose or by its death."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    connection = Connection(descriptor)
+    try:
+        try:
+            painter = FramePainter(*connection.recv())
+        except BringupError as error:
+            connection.send_bytes(b"E" + pickle.dumps(str(error)))
+            return
+        connection.send_bytes(b"D" + bytes(7))
+        while True:
+            name, arguments = connection.recv()
+            try:
+                answer = _answer(painter, name, arguments)
+            except BringupError as error:
+                answer = b"E" + pickle.dumps(str(error))
+            connection.send_bytes(answer)
+    except (EOFError, ConnectionError):
+        return

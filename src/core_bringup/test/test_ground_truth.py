@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Distances of footprint and regions, against brute force."""
+
+import math
+
+import numpy as np
+import pytest
+
+from core_bringup import polygons
+from core_bringup.ground_truth import GroundTruth, object_clearance_m
+from core_bringup.polygons import contains_point, rectangle, signed_clearance_m
+from core_bringup.world import load_world
+from core_bringup.world_types import UnsafeRegion
+
+L_SHAPE = np.array([[0, 0], [3, 0], [3, 1], [1, 1], [1, 3], [0, 3]], dtype=float)
+STAR = np.array([[2, 0], [0.6, 0.5], [0, 2], [-0.6, 0.5], [-2, 0], [-0.6, -0.5], [0, -2], [0.6, -0.5]], dtype=float)
+
+
+def sample_border(polygon_m, count=4000):
+    """Points evenly along the border."""
+    following = np.roll(polygon_m, -1, axis=0)
+    share = np.linspace(0, 1, count // len(polygon_m))[:, None, None]
+    return (polygon_m + share * (following - polygon_m)).reshape(-1, 2)
+
+
+def brute_distance_m(first_m, second_m):
+    a, b = sample_border(first_m, 600), sample_border(second_m, 600)
+    return np.sqrt(((a[:, None] - b[None]) ** 2).sum(-1)).min()
+
+
+def random_convex(rng):
+    angles = np.sort(rng.uniform(0, 2 * np.pi, 7))
+    return rng.uniform(-1, 1, 2) + rng.uniform(0.4, 1.5) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+
+def brute_depth_m(footprint_m, polygon_m):
+    """Shortest translation on a polar grid after which the polygons only touch."""
+    for depth_m in np.arange(0.02, 4.0, 0.02):
+        for angle in np.linspace(0, 2 * np.pi, 120, endpoint=False):
+            shift = depth_m * np.array([np.cos(angle), np.sin(angle)])
+            area = polygons.polygon_area_m2(polygons.clip_to_convex(polygon_m, footprint_m + shift))
+            if abs(area) < 1e-9:
+                return depth_m
+    raise AssertionError("not separated")
+
+
+def test_distance_of_polygons_apart_is_exact():
+    rng = np.random.default_rng(1)
+    checked = 0
+    for _ in range(40):
+        footprint = rectangle(rng.uniform(-3, 3, 2), rng.uniform(-4, 4), 1.1, 0.5)
+        for region in (random_convex(rng), L_SHAPE, STAR):
+            clearance_m = signed_clearance_m(footprint, region)
+            if clearance_m > 0.0:
+                checked += 1
+                brute_m = brute_distance_m(footprint, region)
+                assert clearance_m - 1e-12 <= brute_m <= clearance_m + 0.02
+    assert checked > 30
+
+
+@pytest.mark.parametrize("region", [L_SHAPE, STAR, rectangle((0.5, 0.5), 0.4, 2.0, 1.0)], ids=["l_shape", "star", "box"])
+def test_depth_of_penetration_agrees_with_a_search_over_translations(region):
+    rng = np.random.default_rng(2)
+    checked = 0
+    while checked < 4:
+        footprint = rectangle(rng.uniform(-1, 2, 2), rng.uniform(-4, 4), 1.1, 0.5)
+        clearance_m = signed_clearance_m(footprint, region)
+        if clearance_m < -0.05:
+            checked += 1
+            assert brute_depth_m(footprint, region) == pytest.approx(-clearance_m, abs=0.03)
+
+
+def test_two_ways_to_the_depth_agree_on_convex_regions():
+    rng = np.random.default_rng(3)
+    for _ in range(60):
+        footprint, region = rectangle(rng.uniform(-1, 1, 2), rng.uniform(-4, 4), 1.1, 0.5), random_convex(rng)
+        if polygons.is_convex_ccw(region) and signed_clearance_m(footprint, region) < -1e-3:
+            assert polygons._depth_any_m(footprint, region) == pytest.approx(-signed_clearance_m(footprint, region), abs=1e-6)
+
+
+def test_clearance_is_continuous_across_the_border():
+    region = rectangle((2.0, 0.0), 0.0, 2.0, 4.0)
+    values = [signed_clearance_m(rectangle((x, 0.3), 0.0, 1.1, 0.5), region) for x in np.linspace(0.3, 0.6, 61)]
+    np.testing.assert_allclose(values, 1.0 - 0.55 - np.linspace(0.3, 0.6, 61), atol=1e-6)
+
+
+@pytest.mark.parametrize("region", [L_SHAPE, STAR])
+def test_point_in_polygon_agrees_with_the_winding_number(region):
+    rng = np.random.default_rng(5)
+    for point in rng.uniform(-3, 4, (400, 2)):
+        to = region - point
+        following = np.roll(to, -1, axis=0)
+        turn = np.arctan2(to[:, 0] * following[:, 1] - to[:, 1] * following[:, 0], (to * following).sum(1)).sum()
+        assert contains_point(region, point) == (abs(turn) > np.pi)
+    assert contains_point(region, region[0])
+
+
+def test_polygon_properties():
+    assert polygons.polygon_area_m2(L_SHAPE) == 5.0
+    assert polygons.polygon_area_m2(L_SHAPE[::-1]) == -5.0
+    assert not polygons.is_convex_ccw(L_SHAPE)
+    assert polygons.is_simple(L_SHAPE)
+    assert not polygons.is_simple(np.array([[0, 0], [1, 1], [1, 0], [0, 1]], dtype=float))
+    assert not polygons.is_convex_ccw(STAR[[0, 2, 4, 6, 0, 2, 4, 6]])
+
+
+def regions(*outlines):
+    return tuple(UnsafeRegion(f"region_{i}", f"reason {i}", np.array(o, dtype=float)) for i, o in enumerate(outlines))
+
+
+def test_nearest_region_is_named_and_base_is_told_from_footprint():
+    near, far = rectangle((2.0, 0.0), 0, 1.0, 1.0), rectangle((-5.0, 0.0), 0, 1.0, 1.0)
+    truth = GroundTruth(regions(near, far), (), 1.1, 0.5)
+    apart = truth.evaluate(0.0, 0.0, 0.0)
+    assert (apart.inside, apart.base_inside, apart.region, apart.reason) == (False, False, "region_0", "reason 0")
+    assert apart.clearance_m == pytest.approx(0.95)
+    nose = truth.evaluate(1.2, 0.0, 0.0)
+    assert (nose.inside, nose.base_inside) == (True, False)
+    assert nose.clearance_m == pytest.approx(-0.25)
+    assert truth.evaluate(1.6, 0.0, 0.0).base_inside
+    assert truth.evaluate(-4.8, 0.0, 1.0).region == "region_1"
+
+
+def test_clockwise_regions_count_the_same():
+    region = rectangle((1.0, 0.2), 0.3, 1.0, 2.0)
+    values = [GroundTruth(regions(r), (), 1.1, 0.5).evaluate(0.3, 0.0, 0.1).clearance_m for r in (region, region[::-1])]
+    assert values[0] == pytest.approx(values[1])
+
+
+def test_without_regions_the_clearance_is_infinite():
+    state = GroundTruth((), (), 1.1, 0.5).evaluate(0.0, 0.0, 0.0)
+    assert (state.inside, state.base_inside, state.clearance_m, state.region) == (False, False, math.inf, "")
+    assert state.obstacle_clearance_m == math.inf
+
+
+def test_obstacle_clearance_is_that_of_the_nearest_object():
+    objects = load_world("warehouse").objects
+    truth = GroundTruth((), objects, 1.1, 0.5)
+    rng = np.random.default_rng(6)
+    for x, y, yaw in rng.uniform([-5, -3, -4], [11, 9, 4], (60, 3)):
+        footprint = rectangle((x, y), yaw, 1.1, 0.5)
+        expected = min(object_clearance_m(footprint, item) for item in objects if item.position_m[2] < 0.8)
+        assert truth.evaluate(x, y, yaw).obstacle_clearance_m == pytest.approx(expected, abs=1e-12)
+
+
+def test_round_objects_are_measured_as_discs():
+    class Post:
+        collision, position_m, size_m = "cylinder", np.array([2.0, 0.0, 0.0]), np.array([0.4, 0.4, 1.0])
+
+    assert object_clearance_m(rectangle((0, 0), 0, 1.0, 0.5), Post) == pytest.approx(1.3)
+    assert object_clearance_m(rectangle((2, 0), 0, 1.0, 0.5), Post) == pytest.approx(-0.45)
+
+
+@pytest.mark.parametrize("size_m", [(0.0, 0.5), (1.1, -0.5), (math.nan, 0.5)])
+def test_footprint_must_be_positive(size_m):
+    with pytest.raises(ValueError, match="footprint"):
+        GroundTruth((), (), *size_m)

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The filter: one tick from inputs to a command, with a mode and a reason. Never raises, never answers None."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import replace
+from typing import Optional
+
+import numpy as np
+
+from core_control.core_profile import CoreProfile
+from core_control.exceptions import SolverError
+from core_control.modes import Reason, Stop, find_grid_stop, find_odometry_stop, find_stop
+from core_control.paper_profile import PaperProfile
+from core_control.params import FilterParams
+from core_control.proposal import Proposal, Situation
+from core_control.types import NAN, FilterInputs, FilterResult, Mode
+
+PROFILES = {"core": CoreProfile, "paper": PaperProfile}
+
+
+class CbfFilter:
+    """Velocity filter with control barrier functions.
+
+    An input that is missing, stale or not finite gives zero and its reason; the filter goes on by itself when the input
+    is back. An exception inside a tick gives zero and ``internal_error`` until reset() is called.
+
+    Args:
+        params: checked parameters.
+    """
+
+    def __init__(self, params: FilterParams):
+        """Build the profile and start at rest."""
+        self._params = params
+        self._profile = PROFILES[params.profile](params)
+        self._error = ""
+        self._sent = deque(maxlen=max(1, math.ceil(params.delay_s / params.control_period_s - 1e-9)))
+
+    @property
+    def error(self) -> str:
+        """Text of the latched internal error; empty when there is none."""
+        return self._error
+
+    def latch(self, detail: str) -> None:
+        """Stop with ``internal_error`` until reset() is called; the first text is kept."""
+        self._error = self._error or detail
+
+    def reset(self) -> None:
+        """Clear a latched error."""
+        self._error = ""
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the commands sent so far: after a jump of time they say nothing about the robot's motion."""
+        self._sent.clear()
+        self._profile.reset()
+
+    def step(self, inputs: FilterInputs) -> FilterResult:
+        """Decide one command.
+
+        Args:
+            inputs: newest inputs and their ages at this tick.
+
+        Returns:
+            FilterResult; u_safe is finite and within the limits (profile and enforcement allowing), and equal to the
+            nominal command when nothing speaks against it.
+        """
+        try:
+            # Numbers beyond any use (1e308 m/s) are caught by checks, not by warnings.
+            with np.errstate(all="ignore"):
+                result = self._decide(inputs)
+            if not np.isfinite(result.u_safe).all():
+                raise ArithmeticError(f"the command became {result.u_safe}")
+        except Exception as error:  # a fault in the arithmetic must end in zero, whatever it is
+            self.latch(f"{type(error).__name__}: {error}")
+            result = _stopped(inputs, Stop(Reason.INTERNAL_ERROR, self._error))
+        if not np.any(result.u_safe):
+            result = replace(result, u_safe=np.zeros(3))
+        self._sent.append(result.u_safe)
+        return result
+
+    def _decide(self, inputs: FilterInputs) -> FilterResult:
+        if self._error:
+            return _stopped(inputs, Stop(Reason.INTERNAL_ERROR, f"{self._error}; call cbf_filter/reset"))
+        stop = find_stop(inputs, self._params)
+        if stop is not None:
+            self._profile.reset()
+            return self._observe(inputs, _stopped(inputs, stop))
+        if not self._params.enforce:
+            u = inputs.u_nominal
+            return self._observe(inputs, FilterResult(Mode.DISABLED, u, u, detail="enforcement is switched off"))
+        try:
+            proposal = self._profile.propose(self._make_situation(inputs))
+        except SolverError as error:
+            return self._observe(inputs, _stopped(inputs, Stop(Reason.SOLVER_FAILED, str(error))))
+        return self._report(inputs.u_nominal, proposal)
+
+    def _make_situation(self, inputs: FilterInputs) -> Situation:
+        u_previous = self._sent[-1] if self._sent else np.zeros(3)
+        u_nominal = np.zeros(3) if inputs.u_nominal is None else inputs.u_nominal
+        return Situation(inputs.field, inputs.pose, inputs.twist, u_nominal, u_previous, self._find_pending())
+
+    def _find_pending(self) -> list:
+        """Commands on their way: the one sent j ticks ago acts from delay - j dt to delay - (j - 1) dt from now on."""
+        delay_s, period_s = self._params.delay_s, self._params.control_period_s
+        pending = []
+        for j in range(math.ceil(delay_s / period_s - 1e-9), 0, -1):
+            duration_s = delay_s - (j - 1) * period_s - max(0.0, delay_s - j * period_s)
+            pending.append((self._sent[-j] if j <= len(self._sent) else np.zeros(3), duration_s))
+        return pending
+
+    def _observe(self, inputs: FilterInputs, result: FilterResult) -> FilterResult:
+        """Add h and its gradient where grid and odometry allow to know them, whatever their age."""
+        ageless = replace(inputs, odometry_age_s=0.0, grid_age_s=0.0, constraints_age_s=0.0)
+        if find_odometry_stop(ageless, self._params) or find_grid_stop(ageless, self._params):
+            return result
+        clearance = self._profile.compute_clearance(self._make_situation(inputs))
+        return replace(result, h_m=clearance.h_m, gradient=clearance.gradient)
+
+    def _report(self, u_nominal: np.ndarray, proposal: Proposal) -> FilterResult:
+        clearance = proposal.clearance
+        changed = not np.array_equal(proposal.u, u_nominal)
+        mode = Mode.FILTERED if changed else Mode.NOMINAL
+        if clearance.h_m < 0.0 and self._params.profile == "core":
+            mode = Mode.HOLD
+        return FilterResult(
+            mode,
+            proposal.u,
+            u_nominal,
+            detail=_describe(proposal) if changed else "",
+            h_m=clearance.h_m,
+            gradient=clearance.gradient,
+            binding=proposal.binding,
+            solve_time_s=proposal.solve_time_s,
+            rows=proposal.rows,
+            scale=proposal.scale,
+        )
+
+
+def _stopped(inputs: FilterInputs, stop: Stop) -> FilterResult:
+    u_nominal = np.full(3, NAN) if inputs.u_nominal is None else inputs.u_nominal
+    return FilterResult(Mode.STOPPED, np.zeros(3), u_nominal, stop.reason, stop.detail)
+
+
+def _describe(proposal: Proposal) -> str:
+    note: Optional[str] = proposal.note
+    if proposal.binding is None:
+        return f"limited; {note}" if note else "limited"
+    cause, (x_m, y_m) = proposal.binding.cause, proposal.binding.point_m
+    what = " ".join(part for part in (cause.rule, cause.class_name) if part) or "an unsafe cell"
+    text = f"kept from {what} at ({x_m:.2f}, {y_m:.2f}), clearance {proposal.clearance.h_m:.2f} m"
+    return f"{text}; {note}" if note else text

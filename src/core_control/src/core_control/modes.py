@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""When the filter must stop, and the stable codes that say why."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Optional
+
+import numpy as np
+
+from core_control.params import FilterParams
+from core_control.types import FilterInputs
+
+
+class Reason:
+    """Codes of core_msgs/FilterState.reason; they never change their meaning."""
+
+    WAITING_FOR_NOMINAL = "waiting_for_nominal"
+    NOMINAL_STALE = "nominal_stale"
+    NOMINAL_NOT_FINITE = "nominal_not_finite"
+    NOMINAL_NOT_PLANAR = "nominal_not_planar"
+    GRID_MISSING = "grid_missing"
+    GRID_STALE = "grid_stale"
+    GRID_NOT_FINITE = "grid_not_finite"
+    GRID_MALFORMED = "grid_malformed"
+    ODOMETRY_MISSING = "odometry_missing"
+    ODOMETRY_STALE = "odometry_stale"
+    ODOMETRY_NOT_FINITE = "odometry_not_finite"
+    FRAME_MISMATCH = "frame_mismatch"
+    CONSTRAINTS_MISSING = "constraints_missing"
+    CONSTRAINTS_STALE = "constraints_stale"
+    SOLVER_FAILED = "solver_failed"
+    INTERNAL_ERROR = "internal_error"
+
+
+ALL_REASONS = tuple(value for name, value in vars(Reason).items() if name.isupper())
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A reason to command zero: its code and the same in words, with figures."""
+
+    reason: str
+    detail: str
+
+
+def find_nominal_stop(inputs: FilterInputs, params: FilterParams) -> Optional[Stop]:
+    """Why the nominal command cannot be used, or None."""
+    if inputs.u_nominal is None:
+        return Stop(Reason.WAITING_FOR_NOMINAL, "no nominal command has been received")
+    if not np.isfinite(inputs.u_nominal).all():
+        return Stop(Reason.NOMINAL_NOT_FINITE, f"nominal command is {_show(inputs.u_nominal)}")
+    if not inputs.nominal_planar:
+        return Stop(Reason.NOMINAL_NOT_PLANAR, "nominal command asks for linear.z, angular.x or angular.y")
+    return _find_age("nominal command", Reason.NOMINAL_STALE, inputs.nominal_age_s, params.nominal_timeout_s)
+
+
+def find_odometry_stop(inputs: FilterInputs, params: FilterParams) -> Optional[Stop]:
+    """Why the odometry cannot be used, or None."""
+    if inputs.pose is None or inputs.twist is None:
+        return Stop(Reason.ODOMETRY_MISSING, "no odometry has been received")
+    if not (np.isfinite(inputs.pose).all() and np.isfinite(inputs.twist).all()):
+        detail = f"odometry is {_show(inputs.pose)}, twist {_show(inputs.twist)}"
+        return Stop(Reason.ODOMETRY_NOT_FINITE, detail)
+    return _find_age("odometry", Reason.ODOMETRY_STALE, inputs.odometry_age_s, params.odometry_timeout_s)
+
+
+def find_grid_stop(inputs: FilterInputs, params: FilterParams) -> Optional[Stop]:
+    """Why the safety grid or the constraints in it cannot be used, or None."""
+    if inputs.grid_problem is not None:
+        return Stop(*inputs.grid_problem)
+    if inputs.field is None:
+        return Stop(Reason.GRID_MISSING, "no safety grid has been received")
+    if not inputs.field.is_finite:
+        return Stop(Reason.GRID_NOT_FINITE, "safety grid holds an h that is not a number")
+    stale = _find_age("safety grid", Reason.GRID_STALE, inputs.grid_age_s, params.grid_timeout_s)
+    if stale is not None:
+        return stale
+    grid_frame = inputs.field.grid.frame_id
+    if inputs.pose is not None and grid_frame != inputs.odometry_frame_id:
+        detail = f"safety grid is in frame '{grid_frame}', odometry in '{inputs.odometry_frame_id}'"
+        return Stop(Reason.FRAME_MISMATCH, detail)
+    return _find_constraints_stop(inputs, params)
+
+
+def _find_constraints_stop(inputs: FilterInputs, params: FilterParams) -> Optional[Stop]:
+    if not params.require_constraints:
+        return None
+    if math.isnan(inputs.constraints_age_s):
+        return Stop(Reason.CONSTRAINTS_MISSING, "the safety grid was made without any constraints")
+    return _find_age("constraints", Reason.CONSTRAINTS_STALE, inputs.constraints_age_s, params.constraints_ttl_s)
+
+
+def find_stop(inputs: FilterInputs, params: FilterParams) -> Optional[Stop]:
+    """The first reason to stop: nominal command, odometry, safety grid, constraints in this order; None to go on.
+
+    With enforcement switched off only the nominal command can stop the robot.
+    """
+    stop = find_nominal_stop(inputs, params)
+    if stop is not None or not params.enforce:
+        return stop
+    return find_odometry_stop(inputs, params) or find_grid_stop(inputs, params)
+
+
+def _find_age(name: str, reason: str, age_s: float, limit_s: float) -> Optional[Stop]:
+    # Written so that an age of NaN counts as too old.
+    if age_s <= limit_s:
+        return None
+    return Stop(reason, f"{name} is {age_s:.2f} s old, limit {limit_s:g} s")
+
+
+def _show(vector: np.ndarray) -> str:
+    return "(" + ", ".join(f"{value:.3g}" for value in vector) + ")"

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""ROS shells of this package: the only place that imports rospy and messages."""

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""View of one safety grid: unsafe cells as boxes, exact signed distance to their union, and the cause of each cell.
+
+The unsafe set is the union of the squares of cells that are UNSAFE, or UNKNOWN where unknown counts as unsafe, and of
+everything outside the grid (four half-planes, kept as boxes with infinite edges). Only cells on the border of the set
+are kept: the nearest point of the set, seen from outside it, always lies on one of them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Optional, Tuple
+
+import numpy as np
+
+from core_control.exceptions import GridError
+from core_control.types import NO_CELL, Cause, CellState, SafetyGridData
+
+UNKNOWN_CAUSE = Cause("UNKNOWN", "")
+
+
+class Boxes:
+    """Axis-aligned boxes [lo, hi], (n, 2) each [m]; edges may be infinite.
+
+    Args:
+        lo: (n, 2) lower corners.
+        hi: (n, 2) upper corners.
+        cell: (n,) flat index of the grid cell a box is, NO_CELL for the outside of the grid.
+    """
+
+    def __init__(self, lo: np.ndarray, hi: np.ndarray, cell: np.ndarray):
+        """Keep the arrays."""
+        self.lo, self.hi, self.cell = lo, hi, cell
+
+    def __len__(self) -> int:
+        return len(self.cell)
+
+    def take(self, chosen: np.ndarray) -> Boxes:
+        """The boxes of a mask or an index array."""
+        return Boxes(self.lo[chosen], self.hi[chosen], self.cell[chosen])
+
+    def compute_nearest(self, points: np.ndarray) -> np.ndarray:
+        """Nearest point of every box, y = min(max(p, lo), hi): points (m, 2) -> (m, n, 2)."""
+        return np.minimum(np.maximum(points[:, None, :], self.lo), self.hi)
+
+    def compute_distance(self, points: np.ndarray) -> np.ndarray:
+        """Distance |p - y| to every box [m], 0 inside: points (m, 2) -> (m, n)."""
+        gap = points[:, None, :] - self.compute_nearest(points)
+        return np.sqrt(np.einsum("mnd,mnd->mn", gap, gap))
+
+
+class SafetyField:
+    """Signed distance and causes of one safety grid.
+
+    Args:
+        grid: the grid as received.
+
+    Raises:
+        GridError: array shapes differ, the cell size is not positive, or a state value is unknown.
+    """
+
+    def __init__(self, grid: SafetyGridData):
+        """Check the grid and find the cells on the border of the unsafe set."""
+        _check(grid)
+        self.grid = grid
+        self.unsafe = grid.state == CellState.UNSAFE
+        if grid.unknown_is_unsafe:
+            self.unsafe = self.unsafe | (grid.state == CellState.UNKNOWN)
+        self.is_finite = not bool(np.isnan(grid.h_m).any() or np.isneginf(grid.h_m[~self.unsafe]).any())
+        ny, nx = self.unsafe.shape
+        self.lo_m = np.asarray(grid.origin_m, dtype=float)
+        self.hi_m = self.lo_m + grid.resolution_m * np.array([nx, ny])
+        self.unsafe_boxes = self._make_unsafe_boxes()
+        self._safe_boxes: Optional[Boxes] = None
+        self._unsafe_centres: Optional[np.ndarray] = None
+
+    def _make_unsafe_boxes(self) -> Boxes:
+        padded = np.pad(self.unsafe, 1, constant_values=True)
+        all_neighbours = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+        inner = self._cell_boxes(self.unsafe & ~all_neighbours)
+        inf = math.inf
+        (x0, y0), (x1, y1) = self.lo_m, self.hi_m
+        outer_lo = np.array([[-inf, -inf], [x1, -inf], [-inf, -inf], [-inf, y1]])
+        outer_hi = np.array([[x0, inf], [inf, inf], [inf, y0], [inf, inf]])
+        return Boxes(
+            np.concatenate([inner.lo, outer_lo]),
+            np.concatenate([inner.hi, outer_hi]),
+            np.concatenate([inner.cell, np.full(4, NO_CELL)]),
+        )
+
+    def _cell_boxes(self, mask: np.ndarray) -> Boxes:
+        iy, ix = np.nonzero(mask)
+        lo = self.lo_m + self.grid.resolution_m * np.stack([ix, iy], axis=-1)
+        return Boxes(lo, lo + self.grid.resolution_m, iy * mask.shape[1] + ix)
+
+    @property
+    def safe_boxes(self) -> Boxes:
+        """Safe cells on the border of the unsafe set; found when first asked for, they matter inside it only."""
+        if self._safe_boxes is None:
+            padded = np.pad(self.unsafe, 1, constant_values=True)
+            any_neighbour = padded[:-2, 1:-1] | padded[2:, 1:-1] | padded[1:-1, :-2] | padded[1:-1, 2:]
+            self._safe_boxes = self._cell_boxes(~self.unsafe & any_neighbour)
+        return self._safe_boxes
+
+    @property
+    def unsafe_centres(self) -> np.ndarray:
+        """(n, 2) centres of all unsafe cells [m]."""
+        if self._unsafe_centres is None:
+            iy, ix = np.nonzero(self.unsafe)
+            self._unsafe_centres = self.compute_centre(iy, ix)
+        return self._unsafe_centres
+
+    def compute_centre(self, iy: np.ndarray, ix: np.ndarray) -> np.ndarray:
+        """Centres of cells [m]: index arrays (n,) -> (n, 2)."""
+        return self.lo_m + self.grid.resolution_m * (np.stack([ix, iy], axis=-1) + 0.5)
+
+    def find_cell(self, point: np.ndarray) -> Optional[Tuple[int, int]]:
+        """Row and column of the cell that holds a point (2,) [m]; None outside the grid."""
+        # Compared before it becomes an integer: a point may lie farther away than an integer can say, or be NaN.
+        ix, iy = np.floor((np.asarray(point) - self.lo_m) / self.grid.resolution_m)
+        ny, nx = self.unsafe.shape
+        return (int(iy), int(ix)) if 0 <= ix < nx and 0 <= iy < ny else None
+
+    def compute_signed_distance(self, points: np.ndarray, boxes: Optional[Boxes] = None) -> np.ndarray:
+        """Signed distance to the border of the unsafe set [m].
+
+            d(p) = dist(p, U) outside U,   -dist(p, complement of U) inside;   |d(p) - d(q)| <= |p - q|
+
+        Args:
+            points: (m, 2) [m].
+            boxes: the unsafe boxes that can be nearest, where the caller knows; all of them by default.
+
+        Returns:
+            (m,); -inf where no safe cell exists, +inf for points outside U when boxes is empty.
+        """
+        boxes = self.unsafe_boxes if boxes is None else boxes
+        distance = boxes.compute_distance(points).min(axis=1, initial=np.inf)
+        inside = self.is_inside(points)
+        if inside.any():
+            safe = self.safe_boxes
+            depth = safe.compute_distance(points[inside]).min(axis=1) if len(safe) else np.inf
+            distance[inside] = -depth
+        return distance
+
+    def is_inside(self, points: np.ndarray) -> np.ndarray:
+        """Whether points (m, 2) lie in the unsafe set -> (m,) bool; outside the grid counts as inside the set."""
+        index = np.floor((points - self.lo_m) / self.grid.resolution_m)
+        ny, nx = self.unsafe.shape
+        within = (index >= 0).all(axis=1) & (index[:, 0] < nx) & (index[:, 1] < ny)
+        ix, iy = index[within].astype(int).T
+        inside = ~within
+        inside[within] = self.unsafe[iy, ix]
+        return inside
+
+    def find_exit(self, point: np.ndarray) -> Optional[np.ndarray]:
+        """Nearest point (2,) of a safe cell, seen from a point inside the unsafe set; None where none exists."""
+        safe = self.safe_boxes
+        if not len(safe):
+            return None
+        nearest = safe.compute_nearest(point[None])[0]
+        return nearest[np.argmin(np.linalg.norm(nearest - point, axis=1))]
+
+    def get_cause(self, cell: int) -> Cause:
+        """Cause of a cell by its flat index; UNKNOWN outside the grid and for cells nothing is known of."""
+        if cell == NO_CELL:
+            return UNKNOWN_CAUSE
+        iy, ix = divmod(int(cell), self.unsafe.shape[1])
+        index = int(self.grid.cause[iy, ix])
+        if index < len(self.grid.causes):
+            return self.grid.causes[index]
+        return UNKNOWN_CAUSE if self.grid.state[iy, ix] == CellState.UNKNOWN else Cause()
+
+
+def _check(grid: SafetyGridData) -> None:
+    if not (math.isfinite(grid.resolution_m) and grid.resolution_m > 0.0):
+        raise GridError(f"cell size {grid.resolution_m} m is not positive")
+    if not np.isfinite(grid.origin_m).all():
+        raise GridError("origin is not finite")
+    if grid.state.ndim != 2 or grid.state.size == 0:
+        raise GridError(f"state has shape {grid.state.shape}, not (ny, nx) with at least one cell")
+    for name in ("h_m", "cause"):
+        shape = getattr(grid, name).shape
+        if shape != grid.state.shape:
+            raise GridError(f"{name} has shape {shape}, state {grid.state.shape}")
+    if int(grid.state.max()) > max(CellState):
+        raise GridError(f"state value {int(grid.state.max())} is not known")

@@ -1,0 +1,195 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: BSD-3-Clause
+"""The filter node between fakes that publish at a rate: what stops it, how soon, with which reason, and that it goes on."""
+
+import math
+import time
+import unittest
+
+import numpy as np
+import rospy
+import rostest
+from core_msgs.msg import FilterState, SafetyGrid
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import Odometry
+from ros_support import Collector, RatePublisher, make_wall_msg, wait_until
+from std_srvs.srv import Trigger
+
+from core_control.ros.conversions import odometry_to_msg, twist_from_msg, twist_to_msg
+
+# Time a loaded machine may add to a bound [s].
+SLACK_S = 0.25
+TICK_S = 0.05
+AHEAD = np.array([0.3, 0.0, 0.0])
+
+
+class Fakes:
+    """Nominal command, odometry and grid, each at a rate, each changeable."""
+
+    def __init__(self):
+        self.u = AHEAD
+        self.pose, self.constraints_age_s, self.frame_id = np.zeros(3), 0.0, "odom"
+        self.wall_x_m = 2.9
+        self.nominal = RatePublisher("cmd_vel_nominal", Twist, lambda: twist_to_msg(self.u), 20)
+        self.odometry = RatePublisher("odom", Odometry, self.make_odometry, 50)
+        self.grid = RatePublisher("safety_grid", SafetyGrid, self.make_grid, 10)
+
+    def make_odometry(self):
+        message = odometry_to_msg(self.pose, np.zeros(3), self.frame_id)
+        message.header.stamp = rospy.Time.now()
+        return message
+
+    def make_grid(self):
+        now = rospy.Time.now()
+        return make_wall_msg(self.wall_x_m, now, now - rospy.Duration.from_sec(self.constraints_age_s))
+
+    def make_broken_grid(self, **changes):
+        message = self.make_grid()
+        for name, value in changes.items():
+            setattr(message, name, value)
+        return message
+
+
+class CbfFilterTest(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.states = Collector("cbf_filter/state", FilterState)
+        cls.commands = Collector("cmd_vel", Twist)
+        cls.diagnostics = Collector("diagnostics", DiagnosticArray)
+        state = wait_until(lambda: cls.states.last, what="first state")
+        assert (state.mode, state.reason) == (FilterState.STOPPED, "waiting_for_nominal")
+        cls.fakes = Fakes()
+
+    def setUp(self):
+        self.wait_for_motion()
+
+    def wait_for_motion(self):
+        return wait_until(lambda: self.is_moving(), what=f"motion; last state {self.states.last}")
+
+    def is_moving(self):
+        state, command = self.states.last, self.commands.last
+        return state.mode == FilterState.NOMINAL and np.array_equal(twist_from_msg(command), AHEAD) and state
+
+    def assert_stops(self, reason, bound_s, cause):
+        """The cause makes the filter send zeros with the reason within the bound, and nothing else after that."""
+        start_s = time.monotonic()
+        cause()
+        wait_until(lambda: self.states.last.reason == reason, bound_s + 5.0, f"reason {reason}")
+        zero_s = next(at for at, command in self.commands.entries if at > start_s and self.is_zero(command))
+        self.assertLess(zero_s - start_s, bound_s + TICK_S + SLACK_S)
+        self.states.clear()
+        self.commands.clear()
+        wait_until(lambda: len(self.states.entries) >= 5, what="states while stopped")
+        self.assertEqual({state.reason for _, state in self.states.entries}, {reason})
+        self.assertEqual({state.mode for _, state in self.states.entries}, {FilterState.STOPPED})
+        self.assertTrue(all(self.is_zero(command) for _, command in self.commands.entries))
+        self.assertTrue(self.states.last.detail)
+
+    @staticmethod
+    def is_zero(command):
+        return np.array_equal(twist_from_msg(command), np.zeros(3))
+
+    def test_silent_publisher_stops_it_and_it_goes_on_by_itself(self):
+        for name, reason, bound_s in (
+            ("nominal", "nominal_stale", 0.3),
+            ("odometry", "odometry_stale", 0.3),
+            ("grid", "grid_stale", 0.5),
+        ):
+            with self.subTest(name):
+                publisher = getattr(self.fakes, name)
+                self.assert_stops(reason, bound_s, publisher.stop)
+                publisher.start()
+                self.wait_for_motion()
+
+    def test_bad_command_gives_zero_at_the_next_tick(self):
+        for u, reason in (
+            (np.array([math.nan, 0.0, 0.0]), "nominal_not_finite"),
+            (np.array([0.0, math.inf, 0.0]), "nominal_not_finite"),
+        ):
+            with self.subTest(u=u):
+                self.assert_stops(reason, 0.1, lambda u=u: setattr(self.fakes, "u", u))
+                self.fakes.u = AHEAD
+                self.wait_for_motion()
+
+    def test_command_outside_the_plane_gives_zero(self):
+        make, upward = self.fakes.nominal.make, twist_to_msg(AHEAD)
+        upward.linear.z = 0.1
+        self.assert_stops("nominal_not_planar", 0.1, lambda: setattr(self.fakes.nominal, "make", lambda: upward))
+        self.fakes.nominal.make = make
+        self.wait_for_motion()
+
+    def test_bad_grid_gives_zero(self):
+        make = self.fakes.grid.make
+        for changes, reason in (
+            ({"h_m": [math.nan] * 3600}, "grid_not_finite"),
+            ({"h_m": [1.0]}, "grid_malformed"),
+            ({"resolution_m": 0.0}, "grid_malformed"),
+            ({"constraints_stamp": rospy.Time()}, "constraints_missing"),
+        ):
+            with self.subTest(reason):
+                broken = lambda changes=changes: self.fakes.make_broken_grid(**changes)  # noqa: E731
+                self.assert_stops(reason, 0.2, lambda broken=broken: setattr(self.fakes.grid, "make", broken))
+                self.fakes.grid.make = make
+                self.wait_for_motion()
+
+    def test_old_constraints_give_zero(self):
+        self.assert_stops("constraints_stale", 0.2, lambda: setattr(self.fakes, "constraints_age_s", 16.0))
+        self.fakes.constraints_age_s = 0.0
+        self.wait_for_motion()
+
+    def test_bad_odometry_gives_zero(self):
+        self.assert_stops("odometry_not_finite", 0.1, lambda: setattr(self.fakes, "pose", np.array([0, math.nan, 0])))
+        self.fakes.pose = np.zeros(3)
+        self.wait_for_motion()
+        self.assert_stops("frame_mismatch", 0.1, lambda: setattr(self.fakes, "frame_id", "map"))
+        self.fakes.frame_id = "odom"
+        self.wait_for_motion()
+
+    def test_old_stamps_count_even_when_messages_keep_coming(self):
+        make = self.fakes.grid.make
+        frozen = self.fakes.make_grid()
+        self.assert_stops("grid_stale", 0.5, lambda: setattr(self.fakes.grid, "make", lambda: frozen))
+        self.fakes.grid.make = make
+        self.wait_for_motion()
+
+    def test_a_wall_ahead_changes_the_command_and_is_named(self):
+        self.fakes.wall_x_m = 0.9
+        state = wait_until(
+            lambda: self.states.last.mode == FilterState.FILTERED and self.states.last, what="filtered state"
+        )
+        self.assertEqual(state.binding_rule, "BETWEEN(traffic_cone)")
+        self.assertLess(state.u_safe[0], AHEAD[0])
+        self.assertAlmostEqual(state.h_m, 0.9 - 0.677, places=2)
+        self.assertEqual(list(state.u_nominal), list(AHEAD))
+        self.fakes.wall_x_m = 2.9
+        self.wait_for_motion()
+
+    def test_output_keeps_its_rate_under_a_flood_of_commands(self):
+        flood = RatePublisher("cmd_vel_nominal", Twist, lambda: twist_to_msg(AHEAD), 1000)
+        self.commands.clear()
+        wait_until(lambda: len(self.commands.entries) >= 41, what="commands under the flood")
+        flood.stop()
+        times_s = np.array([at for at, _ in self.commands.entries])
+        self.assertAlmostEqual(np.median(np.diff(times_s)), TICK_S, delta=0.2 * TICK_S)
+
+    def test_each_tick_sends_the_command_then_the_state(self):
+        self.states.clear()
+        wait_until(lambda: len(self.states.entries) >= 10, what="states")
+        ticks = [state.tick for _, state in self.states.entries]
+        self.assertEqual(ticks, list(range(ticks[0], ticks[0] + len(ticks))))
+
+    def test_diagnostics_say_what_it_does(self):
+        self.diagnostics.clear()
+        message = wait_until(lambda: self.diagnostics.last, what="diagnostics")
+        self.assertIn("filter", message.status[0].name)
+        self.assertIn("NOMINAL", message.status[0].message)
+
+    def test_reset_answers(self):
+        rospy.wait_for_service("cbf_filter/reset", 5.0)
+        self.assertTrue(rospy.ServiceProxy("cbf_filter/reset", Trigger)().success)
+
+
+if __name__ == "__main__":
+    rospy.init_node("cbf_filter_rostest")
+    rostest.rosrun("core_control", "cbf_filter_rostest", CbfFilterTest)

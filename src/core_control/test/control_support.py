@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Grids, inputs and an exact plant that the tests of this package share."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from core_control.dynamics import compute_rotation, integrate_lag
+from core_control.params import FilterParams
+from core_control.safety_field import SafetyField
+from core_control.types import Cause, CellState, FilterInputs, SafetyGridData
+
+LENGTH_M, WIDTH_M = 1.1, 0.5
+CONE_LINE = Cause("BETWEEN(traffic_cone)", "traffic_cone")
+
+
+def make_grid(unsafe, resolution_m=0.1, origin_m=None, h_m=None, **changes) -> SafetyGridData:
+    """A grid from a mask (ny, nx); centred on the origin unless told otherwise."""
+    unsafe = np.asarray(unsafe, dtype=bool)
+    ny, nx = unsafe.shape
+    values = {
+        "frame_id": "odom",
+        "stamp_s": 0.0,
+        "constraints_stamp_s": 0.0,
+        "resolution_m": resolution_m,
+        "origin_m": np.array([-nx, -ny]) * resolution_m / 2.0 if origin_m is None else np.array(origin_m, dtype=float),
+        "state": np.where(unsafe, CellState.UNSAFE, CellState.SAFE).astype(np.uint8),
+        "unknown_is_unsafe": True,
+        "h_m": np.where(unsafe, -1.0, 1.0) if h_m is None else h_m,
+        "cause": np.where(unsafe, 0, 65535).astype(np.uint16),
+        "causes": (CONE_LINE,),
+    }
+    values.update(changes)
+    return SafetyGridData(**values)
+
+
+def make_field(unsafe, **changes) -> SafetyField:
+    return SafetyField(make_grid(unsafe, **changes))
+
+
+def make_wall(x_m, size_m=10.0, resolution_m=0.1) -> SafetyField:
+    """A field that is unsafe for every x >= x_m."""
+    n = round(size_m / resolution_m)
+    unsafe = np.zeros((n, n), dtype=bool)
+    unsafe[:, round((x_m + size_m / 2.0) / resolution_m) :] = True
+    return make_field(unsafe, resolution_m=resolution_m)
+
+
+def make_random_mask(rng, n=100) -> np.ndarray:
+    """Rectangles and speckle."""
+    unsafe = np.zeros((n, n), dtype=bool)
+    for _ in range(rng.integers(3, 9)):
+        iy, ix = rng.integers(0, n, 2)
+        ly, lx = rng.integers(2, 25, 2)
+        unsafe[iy : iy + ly, ix : ix + lx] = True
+    return unsafe | (rng.random((n, n)) < rng.choice([0.0, 0.0005, 0.002]))
+
+
+def make_inputs(u_nominal, field, pose=(0.0, 0.0, 0.0), twist=(0.0, 0.0, 0.0), **changes) -> FilterInputs:
+    values = {
+        "u_nominal": np.array(u_nominal, dtype=float),
+        "pose": np.array(pose, dtype=float),
+        "twist": np.array(twist, dtype=float),
+        "odometry_frame_id": "odom",
+        "field": field,
+        "nominal_age_s": 0.0,
+        "odometry_age_s": 0.0,
+        "grid_age_s": 0.0,
+        "constraints_age_s": 0.0,
+    }
+    values.update(changes)
+    return FilterInputs(**values)
+
+
+def make_params(**changes) -> FilterParams:
+    return FilterParams.from_dict(changes)
+
+
+class Plant:
+    """Exact robot with first-order lag and a delay of whole control periods; keeps the poses of the last period."""
+
+    def __init__(self, pose, lag_s=0.08, delay_ticks=0, period_s=0.05):
+        self.pose, self.twist = np.array(pose, dtype=float), np.zeros(3)
+        self._lag_s, self._period_s = lag_s, period_s
+        self._queue = [np.zeros(3)] * delay_ticks
+
+    def step(self, u) -> np.ndarray:
+        """Advance one period; poses (10, 3) on the way."""
+        self._queue.append(np.array(u, dtype=float))
+        times_s = self._period_s * np.arange(1, 11) / 10.0
+        poses, self.twist = integrate_lag(self.pose, self.twist, self._queue.pop(0), times_s, self._lag_s)
+        self.pose = poses[-1]
+        return poses
+
+
+def footprint_overlaps(field: SafetyField, pose, shrink_m=1e-9) -> bool:
+    """Whether the rectangle of the robot overlaps an unsafe cell or leaves the grid; separating axes, exact."""
+    R = compute_rotation(pose[2])
+    half = np.array([LENGTH_M, WIDTH_M]) / 2.0 - shrink_m
+    extent = np.abs(R) @ half
+    if np.any(pose[:2] - extent < field.lo_m) or np.any(pose[:2] + extent > field.hi_m):
+        return True
+    if not len(field.unsafe_centres):
+        return False
+    half_cell = 0.5 * field.grid.resolution_m
+    gap = field.unsafe_centres - pose[:2]
+    apart_world = np.any(np.abs(gap) >= extent + half_cell, axis=1)
+    apart_body = np.any(np.abs(gap @ R) >= half + half_cell * np.abs(R).sum(axis=0), axis=1)
+    return bool(np.any(~(apart_world | apart_body)))
+
+
+def draw_safe_pose(rng, field: SafetyField, clearance_of):
+    """A pose with positive clearance, or None after 200 attempts."""
+    for _ in range(200):
+        pose = np.append(rng.uniform(field.lo_m, field.hi_m), rng.uniform(-np.pi, np.pi))
+        if clearance_of(pose) > 0.06:
+            return pose
+    return None
+
+
+class Driver:
+    """Nominal commands: held at random, full ahead, or straight at the nearest unsafe cell."""
+
+    def __init__(self, rng, limits, step_hold=(5, 40)):
+        self._rng, self._limits, self._step_hold = rng, limits, step_hold
+        self._left, self._u, self._kind = 0, np.zeros(3), 0
+
+    def step(self, pose, field: SafetyField):
+        if self._left == 0:
+            self._kind = self._rng.integers(0, 4)
+            self._left = int(self._rng.integers(*self._step_hold))
+            self._u = self._rng.uniform(-1.2, 1.2, 3) * self._limits
+        self._left -= 1
+        if self._kind == 1:
+            return np.array([self._limits[0], 0.0, 0.0])
+        if self._kind == 2 and len(field.unsafe_centres):
+            gap = field.unsafe_centres - pose[:2]
+            nearest = gap[np.argmin(np.linalg.norm(gap, axis=1))]
+            return np.append(compute_rotation(pose[2]).T @ nearest, self._u[2])
+        return self._u

@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace core_perception {
+
+/// Why a cell is unsafe. rule is a predicate such as "BETWEEN(traffic_cone)", or one of the words below.
+struct Cause {
+  std::string rule;
+  std::string class_name;
+  uint32_t instance_id = 0;  ///< 0 for none
+};
+
+constexpr char kMetricRule[] = "METRIC";      ///< obstacle seen by depth
+constexpr char kNotSafeRule[] = "NOT_SAFE";   ///< no safe predicate holds there
+constexpr char kUnknownRule[] = "UNKNOWN";    ///< never seen
+constexpr uint16_t kNoCause = 65535;
+
+/// Numbers for (rule, class) pairs, stable until clear().
+class CauseTable {
+ public:
+  /// Number of the pair; kNoCause when the table is full (65535 pairs: class names come from outside).
+  uint16_t intern(const std::string& rule, const std::string& class_name);
+  const Cause& at(uint16_t index) const { return causes_[index]; }
+  size_t size() const { return causes_.size(); }
+  void clear();
+
+ private:
+  std::map<std::pair<std::string, std::string>, uint16_t> numbers_;
+  std::vector<Cause> causes_;
+};
+
+}  // namespace core_perception

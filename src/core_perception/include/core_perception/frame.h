@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <Eigen/Geometry>
+#include <cstdint>
+#include <opencv2/core.hpp>
+#include <string>
+#include <vector>
+
+#include "core_perception/geometry2d.h"
+
+namespace core_perception {
+
+/// Pinhole intrinsics of an image of this size; pixel (u, v) is centred at the integer:
+///     x = z (u - cx) / fx,  y = z (v - cy) / fy        Source: [CORE] implementation details.
+struct Camera {
+  double fx_px = 0.0, fy_px = 0.0, cx_px = 0.0, cy_px = 0.0;
+  int width_px = 0, height_px = 0;
+};
+
+/// What a value of the label image stands for.
+struct LabelClass {
+  uint16_t id = 0;
+  std::string class_name;
+};
+
+/// Everything the map needs to know about one instant. Images are not copied.
+struct Frame {
+  double stamp_s = 0.0;
+  Camera camera;
+  cv::Mat depth;   ///< CV_32FC1 [m] or CV_16UC1 [mm], along the optical axis
+  cv::Mat labels;  ///< CV_16UC1, same size, 0 = none
+  std::vector<LabelClass> classes;
+  std::vector<std::string> classes_evaluated;  ///< looked for by the segmenter; others are not known to be absent
+  Eigen::Isometry3d T_map_camera = Eigen::Isometry3d::Identity();  ///< optical frame at stamp_s
+  Point2 p_map_base;                                               ///< robot at stamp_s
+};
+
+/// Intrinsics for the same view at another image size.
+Camera scaleCamera(const Camera& camera, int width_px, int height_px);
+
+/// @throws FrameError image_empty, image_type, image_size, camera_invalid, stamp_invalid or pose_invalid.
+void checkFrame(const Frame& frame);
+
+/// Depth in metres as CV_32FC1; whatever is NaN, infinite, zero or negative becomes 0.
+void convertToMetres(const cv::Mat& depth, cv::Mat* metres);
+
+}  // namespace core_perception

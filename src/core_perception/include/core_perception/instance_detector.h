@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "core_perception/geometry2d.h"
+
+namespace core_perception {
+
+/// Cell of the fixed frame: floor(coordinate / resolution).
+struct CellIndex {
+  int x, y;
+};
+inline bool operator<(const CellIndex& a, const CellIndex& b) { return a.x < b.x || (a.x == b.x && a.y < b.y); }
+inline bool operator==(const CellIndex& a, const CellIndex& b) { return a.x == b.x && a.y == b.y; }
+
+/// One object as one frame saw it.
+struct Detection {
+  std::string class_name;
+  Polygon footprint;             ///< convex hull of its ground points [m], fixed frame
+  std::vector<CellIndex> cells;  ///< map cells it touches, sorted
+  double z_min_m = 0.0, z_max_m = 0.0;
+  uint32_t n_points = 0;
+};
+
+/// Splits the labelled points of one frame into objects.
+///
+/// The points of a label are binned on the ground in cells of 5 cm. Bins of one label farther than about 0.25 m apart are
+/// taken as different objects: a segmenter may give several objects one label, and pixels of a label that bled onto the
+/// background land far behind the object. Groups with fewer than min_points points are dropped.
+class InstanceDetector {
+ public:
+  InstanceDetector(double map_resolution_m, int min_points);
+
+  void start();
+  /// @param slot index of the label's class in the frame.
+  void add(int16_t slot, double x_m, double y_m, double z_m);
+  /// @param class_names class per slot.
+  std::vector<Detection> finish(const std::vector<std::string>& class_names) const;
+
+ private:
+  static constexpr double kBin_m = 0.05;
+  struct Bin {
+    int16_t slot;
+    int x, y;  ///< bin indices
+    uint32_t n_points = 0;
+    double sum_x = 0.0, sum_y = 0.0;
+    double z_min_m = 0.0, z_max_m = 0.0;
+  };
+
+  Bin& touchBin(int16_t slot, int x, int y);
+  void splitSlot(const std::vector<const Bin*>& bins, const std::string& class_name,
+                 std::vector<Detection>* detections) const;
+  void appendDetection(const std::vector<const Bin*>& bins, const std::string& class_name,
+                       std::vector<Detection>* detections) const;
+
+  double map_resolution_m_;
+  uint32_t min_points_;
+  std::vector<Bin> bins_;
+  std::vector<int32_t> table_;  ///< open addressing over bins_, -1 = free
+};
+
+}  // namespace core_perception

@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "core_perception/instance_detector.h"
+#include "core_perception/params.h"
+
+namespace core_perception {
+
+/// An object held in memory.
+struct HeldInstance {
+  uint32_t id = 0;  ///< > 0, never given twice until clear()
+  std::string class_name;
+  Polygon footprint;
+  std::vector<CellIndex> cells;  ///< map cells it touched, sorted
+  double z_min_m = 0.0, z_max_m = 0.0;
+  uint32_t cluster = 0;        ///< smallest id of the cluster
+  bool in_view = false;        ///< the newest frame saw it
+  bool confirmed = false;      ///< seen in min_frames frames: it makes regions
+  double last_seen_s = 0.0;
+  uint32_t frames_seen = 0;
+  int frames_empty = 0;        ///< consecutive frames that saw its place empty
+  double largest_view_m = 0.0; ///< diameter of the largest single view
+
+  bool isExtended(double max_footprint_m) const { return computeDiameter(footprint) > max_footprint_m; }
+};
+
+/// What a frame tells about the place of an object it did not see.
+enum class PlaceView {
+  kHidden,    ///< out of view, out of range or behind something: nothing can be said
+  kOccupied,  ///< something stands there still
+  kEmpty,     ///< the floor of the place is seen and nothing on it
+};
+
+/// Objects remembered in the fixed frame. Source: DESIGN section 4, row 4; not in [CORE].
+///
+/// - Detections are matched to held objects by class and distance of footprints, nearest first; label values play no part.
+///   A further detection of the same class that touches a held object is merged into it, any other becomes a new object.
+/// - The footprint is the hull of all views. For a small object it may grow by footprint_slack_m beyond its largest
+///   single view: when it would grow more the object has moved, or the pose has drifted, and the newest view replaces it.
+/// - An object is held while out of view or hidden, without limit of time, and forgotten only after release_frames
+///   consecutive looks at its place found it empty; a look that says nothing changes nothing.
+/// - It makes regions after min_frames sightings. Before, its own points already count as votes, so a hazard seen once
+///   stands; only what reaches beyond it (AROUND, BETWEEN) waits for the second look. One-frame ghosts make no region.
+class InstanceMemory {
+ public:
+  using Probe = std::function<PlaceView(const HeldInstance&)>;
+
+  explicit InstanceMemory(const InstanceParams& params) : params_(params) {}
+
+  void update(double stamp_s, const std::vector<Detection>& detections, const Probe& probe);
+  const std::vector<HeldInstance>& instances() const { return instances_; }
+  /// Drops the objects of a class that turned out to be a surface.
+  void forgetClass(const std::string& class_name);
+  void clear();
+
+ private:
+  std::vector<size_t> match(const std::vector<Detection>& detections) const;
+  void placeUnmatched(double stamp_s, const Detection& detection);
+  HeldInstance create(double stamp_s, const Detection& detection);
+  void absorb(double stamp_s, const Detection& detection, HeldInstance* held) const;
+  void mergeOverlapping();
+  void releaseEmpty(const Probe& probe);
+
+  InstanceParams params_;
+  std::vector<HeldInstance> instances_;
+  uint32_t last_id_ = 0;
+};
+
+/// Gives the confirmed objects of one class that are linked by gaps <= max_gap_m one cluster number (single link).
+/// Others are clusters of their own.
+void labelClusters(double max_gap_m, std::vector<HeldInstance>* instances);
+
+}  // namespace core_perception

@@ -1,0 +1,27 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "core_perception/semantic_octree.h"
+
+namespace core_perception {
+
+/// What an octomap message can hold.
+enum class WireFormat {
+  kFull,      ///< id "OcTree", log-odds of being unsafe: any OctoMap client
+  kBinary,    ///< id "OcTree", occupied (unsafe) or free (safe): any OctoMap client
+  kColor,     ///< id "ColorOcTree", red unsafe, green safe; all occupied, so that RViz draws every voxel
+  kSemantic,  ///< id "SemanticOcTree", with counts: clients that link core_semantic_octree
+};
+
+/// Class name under which OctoMap's factory reads the bytes.
+std::string idOf(WireFormat format);
+
+/// Bytes of octomap_msgs/Octomap.data, written straight from the tree; empty for an empty tree.
+/// Inner nodes are brought up to date first.
+std::vector<int8_t> serialise(WireFormat format, SemanticOcTree* tree);
+
+}  // namespace core_perception

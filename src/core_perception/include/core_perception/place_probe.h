@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <opencv2/core.hpp>
+
+#include "core_perception/instance_memory.h"
+#include "core_perception/projection.h"
+
+namespace core_perception {
+
+/// Looks at the place of a held object in one frame.
+///
+/// The place is EMPTY when the whole footprint lies in the image and within range, at least 60 % of the pixels whose ray
+/// meets the floor inside it show floor there, and next to no point inside it stands up or carries the object's class.
+/// It is OCCUPIED when some points do. Otherwise it is HIDDEN.
+/// An object no higher than the metric band (a puddle, a cable) can only be told from the floor by its label: its place
+/// is empty only where the segmenter looked for the class.
+class PlaceProbe {
+ public:
+  /// The arguments must outlive the probe.
+  PlaceProbe(const Frame& frame, const cv::Mat& metres, const Projection& projection, const RangeParams& range)
+      : frame_(frame), metres_(metres), projection_(projection), range_(range) {}
+
+  PlaceView look(const HeldInstance& held) const;
+
+ private:
+  struct Evidence {
+    int n_expected = 0;  ///< pixels whose ray meets the floor inside the footprint
+    int n_floor = 0;     ///< pixels that show floor inside the footprint
+    int n_standing = 0;  ///< pixels that show something else inside the footprint
+  };
+
+  bool isInView(const Polygon& place) const;
+  cv::Rect findPixels(const Polygon& place, double top_z_m) const;
+  Evidence gather(const Polygon& place, const cv::Rect& pixels, const std::vector<uint16_t>& ids) const;
+  void judgePixel(const Polygon& place, int u, int v, bool own_label, Evidence* evidence) const;
+
+  const Frame& frame_;
+  const cv::Mat& metres_;
+  const Projection& projection_;
+  const RangeParams& range_;
+};
+
+}  // namespace core_perception

@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <vector>
+
+#include "core_perception/frame_votes.h"
+#include "core_perception/free_space.h"
+#include "core_perception/instance_memory.h"
+#include "core_perception/label_meaning.h"
+#include "core_perception/projection.h"
+#include "core_perception/safety_grid.h"
+#include "core_perception/spatial_operators.h"
+#include "core_perception/vote_map.h"
+
+namespace core_perception {
+
+/// Semantic grounding: labelled depth images and safety predicates in, decision around the robot out.
+///
+///     operators -> projection -> votes a frame -> SemanticOcTree -> 2-D counts -+-> decision -> h
+///     labels    -> objects    -> instance memory -> regions on the ground  -----+
+///
+/// Time and pose are arguments. Source: [CORE] semantic grounding. Both profiles take this way, parameters tell them apart.
+class SemanticMap {
+ public:
+  /// @throws ParameterError never: parameters are validated where they are read.
+  explicit SemanticMap(const SemanticMapParams& params);
+
+  /// Adds a frame under the constraints in force at its stamp. While no constraints are in force objects are tracked but
+  /// nothing is voted, and no region is made.
+  /// @throws FrameError the frame cannot be used; nothing has changed then.
+  const SafetyGrid& update(const Frame& frame, const Constraints& constraints);
+
+  const SafetyGrid& grid() const { return composer_.grid(); }
+  const std::vector<HeldInstance>& instances() const { return memory_.instances(); }
+  VoteMap& votes() { return votes_; }
+  const SemanticMapParams& params() const { return params_; }
+  /// Forgets everything, the first position of the robot included.
+  void clear();
+
+ private:
+  void collect(const Frame& frame, const Projection& projection, const ImageSets& sets, bool vote);
+  void collectPoint(const PixelPoint& point, const Frame& frame, const ImageSets& sets, bool vote);
+  void votePoint(const PixelPoint& point, float height_m, const LabelMeaning& meaning, const ImageSets& sets);
+  ColumnRange findReach(const Projection& projection) const;
+
+  SemanticMapParams params_;
+  LabelMeanings meanings_;
+  CauseTable causes_;
+  FrameVotes frame_votes_;
+  VoteMap votes_;
+  InstanceDetector detector_;
+  InstanceMemory memory_;
+  GridComposer composer_;
+  InitialDisc disc_;
+  bool has_disc_ = false;
+  cv::Mat metres_;
+  // Of the frame being added.
+  float camera_height_m_ = 0.0f, metric_slope_ = 0.0f;
+  int floor_layer_ = 0;
+  Eigen::Vector3d p_map_camera_ = Eigen::Vector3d::Zero();
+  std::vector<uint16_t> rule_causes_;  ///< cause of each predicate, for image operators
+};
+
+}  // namespace core_perception

@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <octomap/OcTreeNode.h>
+#include <octomap/OccupancyOcTreeBase.h>
+
+#include <cstdint>
+#include <iosfwd>
+#include <string>
+
+namespace core_perception {
+
+/// A voxel with its votes. The base value follows from them, so that "occupied" means "unsafe":
+///
+///     value = log((n_unsafe + 1/2) / (n_safe + 1/2))
+///
+/// Never use the hit / miss updates of OctoMap on it. On the wire: float32 value, uint32 n_safe, uint32 n_unsafe
+/// (12 bytes, native byte order, as OctoMap's own nodes).
+/// In a pruned leaf the counts hold for every voxel it covers. Inner nodes carry no counts of their own.
+class SemanticOcTreeNode : public octomap::OcTreeNode {
+ public:
+  SemanticOcTreeNode() = default;
+  /// Copies the payload, not the children: octomap's own copy would slice them.
+  SemanticOcTreeNode(const SemanticOcTreeNode& other) : octomap::OcTreeNode() { copyData(other); }
+  SemanticOcTreeNode& operator=(const SemanticOcTreeNode&) = delete;
+
+  /// Equality with counts, so that prune and expand lose nothing.
+  bool operator==(const SemanticOcTreeNode& other) const {
+    return value == other.value && n_safe_ == other.n_safe_ && n_unsafe_ == other.n_unsafe_;
+  }
+  void copyData(const SemanticOcTreeNode& from);
+
+  uint32_t n_safe() const { return n_safe_; }
+  uint32_t n_unsafe() const { return n_unsafe_; }
+  void setCounts(uint32_t n_safe, uint32_t n_unsafe);
+
+  std::istream& readData(std::istream& stream);
+  std::ostream& writeData(std::ostream& stream) const;
+
+ private:
+  friend class SemanticOcTree;
+  /// Frees the array of children; every child must be gone. OctoMap's own deleteNode leaks it.
+  void freeChildren();
+
+  uint32_t n_safe_ = 0;
+  uint32_t n_unsafe_ = 0;
+};
+
+/// OctoMap tree of votes, registered with OctoMap's factory as "SemanticOcTree" in every process that links this library.
+class SemanticOcTree : public octomap::OccupancyOcTreeBase<SemanticOcTreeNode> {
+ public:
+  explicit SemanticOcTree(double resolution_m);
+  SemanticOcTree(const SemanticOcTree&) = delete;
+  SemanticOcTree& operator=(const SemanticOcTree&) = delete;
+
+  SemanticOcTree* create() const override { return new SemanticOcTree(resolution); }
+  std::string getTreeType() const override { return "SemanticOcTree"; }
+
+  /// The leaf at a key, made where it does not exist; a pruned leaf on the way is expanded first.
+  /// Consecutive keys that lie close to each other cost few steps: the last path is kept.
+  SemanticOcTreeNode* touch(const octomap::OcTreeKey& key);
+  /// The leaf at a key or nullptr; a pruned leaf that covers it counts.
+  const SemanticOcTreeNode* find(const octomap::OcTreeKey& key) const { return search(key); }
+  /// Removes the voxel, with inner nodes that become empty.
+  void erase(const octomap::OcTreeKey& key);
+  /// As the base's; drops the kept path.
+  void clear();
+  void prune() override;
+
+ private:
+  static constexpr unsigned kDepth = 16;
+
+  struct Registration {
+    Registration();
+    void ensureLinking() {}
+  };
+  static Registration registration_;
+
+  SemanticOcTreeNode* path_[kDepth + 1] = {};  ///< path_[d]: node of depth d on the way to last_key_
+  octomap::OcTreeKey last_key_;
+  bool path_valid_ = false;
+};
+
+}  // namespace core_perception

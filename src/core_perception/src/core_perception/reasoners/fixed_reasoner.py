@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Reasoners whose rules do not depend on what they see: ``oracle`` (true rules), ``static`` (written before)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Iterable
+
+import yaml
+
+from core_perception.exceptions import PerceptionError, PredicateError
+from core_perception.predicates import Constraints, Predicate, apply_precedence, parse_predicate
+from core_perception.reasoners.base import Evidence, Reasoner
+
+
+class FixedReasoner(Reasoner):
+    """States the same predicates for every frame.
+
+    Source: [CORE] experimental results, baselines Oracle and No Context.
+    """
+
+    reads_evidence = False
+
+    def __init__(self, source: str, predicates: Iterable[Predicate], justification: str):
+        """Keep the rules.
+
+        Args:
+            source: ``oracle`` or ``static``.
+            predicates: rules; precedence is applied.
+            justification: where they come from, in words.
+
+        Raises:
+            PredicateError: no rule at all, or a region that is safe and unsafe.
+        """
+        self.source = source
+        kept = apply_precedence(predicates)
+        if not kept:
+            raise PredicateError(f"{source}: got no predicate, allowed at least one")
+        classes = tuple(dict.fromkeys(p.class_name for p in kept))
+        self._constraints = Constraints(kept, classes, justification, source)
+
+    def reason(self, evidence: Evidence) -> Constraints:
+        """Return the rules, stamped with the frame."""
+        known = self._constraints
+        return Constraints(known.predicates, known.classes, known.justification, known.source, evidence.stamp_ns)
+
+
+def load_rules(path) -> FixedReasoner:
+    """Read a rules file: a mapping with ``justification`` (text) and ``rules`` (list of statements, see predicates.py).
+
+    Raises:
+        PerceptionError: the file cannot be read or has other content; the message starts with the path.
+    """
+    try:
+        data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        if not isinstance(data, dict) or set(data) != {"justification", "rules"} or not isinstance(data["rules"], list):
+            raise PredicateError("got other keys, allowed exactly justification (text) and rules (list)")
+        return FixedReasoner("static", [parse_predicate(rule) for rule in data["rules"]], str(data["justification"]))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, PredicateError) as error:
+        raise PerceptionError(f"{path}: {' '.join(str(error).split())}") from error

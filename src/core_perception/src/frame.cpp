@@ -1,0 +1,85 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "core_perception/frame.h"
+
+#include <cmath>
+#include <limits>
+
+#include "core_perception/exceptions.h"
+
+namespace core_perception {
+namespace {
+
+std::string formatSize(int width, int height) { return std::to_string(width) + "x" + std::to_string(height); }
+
+bool isPositive(double value) { return std::isfinite(value) && value > 0.0; }
+
+void checkImages(const Frame& frame) {
+  const cv::Mat& depth = frame.depth;
+  const cv::Mat& labels = frame.labels;
+  if (depth.empty() || labels.empty()) throw FrameError("image_empty", "depth or labels hold no pixel");
+  if (depth.type() != CV_32FC1 && depth.type() != CV_16UC1) {
+    throw FrameError("image_type", "depth must be 32FC1 in metres or 16UC1 in millimetres");
+  }
+  if (labels.type() != CV_16UC1) throw FrameError("image_type", "labels must be mono16");
+  const Camera& camera = frame.camera;
+  if (depth.size() != labels.size() || depth.cols != camera.width_px || depth.rows != camera.height_px) {
+    throw FrameError("image_size", "depth " + formatSize(depth.cols, depth.rows) + ", labels " +
+                                       formatSize(labels.cols, labels.rows) + ", camera " +
+                                       formatSize(camera.width_px, camera.height_px) + " must be equal");
+  }
+}
+
+template <typename T>
+void convertRow(const T* in, float scale, int n, float* out) {
+  constexpr float kLargest = std::numeric_limits<float>::max();
+  for (int i = 0; i < n; ++i) {
+    const float z = static_cast<float>(in[i]) * scale;
+    out[i] = (z > 0.0f && z <= kLargest) ? z : 0.0f;  // false for NaN
+  }
+}
+
+}  // namespace
+
+Camera scaleCamera(const Camera& camera, int width_px, int height_px) {
+  const double sx = static_cast<double>(width_px) / camera.width_px;
+  const double sy = static_cast<double>(height_px) / camera.height_px;
+  Camera scaled;
+  scaled.fx_px = camera.fx_px * sx;
+  scaled.fy_px = camera.fy_px * sy;
+  // Pixel borders, not centres, scale.
+  scaled.cx_px = (camera.cx_px + 0.5) * sx - 0.5;
+  scaled.cy_px = (camera.cy_px + 0.5) * sy - 0.5;
+  scaled.width_px = width_px;
+  scaled.height_px = height_px;
+  return scaled;
+}
+
+void checkFrame(const Frame& frame) {
+  checkImages(frame);
+  const Camera& camera = frame.camera;
+  if (!isPositive(camera.fx_px) || !isPositive(camera.fy_px) || !std::isfinite(camera.cx_px) ||
+      !std::isfinite(camera.cy_px)) {
+    throw FrameError("camera_invalid", "focal lengths must be positive and the centre finite");
+  }
+  if (!isPositive(frame.stamp_s)) throw FrameError("stamp_invalid", "the stamp must be positive");
+  const bool finite = frame.T_map_camera.matrix().allFinite() && std::isfinite(frame.p_map_base.x) &&
+                      std::isfinite(frame.p_map_base.y);
+  // 5 km is what a tree of 2^16 cells of 0.2 m can hold; resolution decides the rest in VoteMap.
+  constexpr double kFarthest_m = 5000.0;
+  if (!finite || frame.T_map_camera.translation().cwiseAbs().maxCoeff() > kFarthest_m) {
+    throw FrameError("pose_invalid", "the pose must be finite and within 5 km of the origin");
+  }
+}
+
+void convertToMetres(const cv::Mat& depth, cv::Mat* metres) {
+  metres->create(depth.rows, depth.cols, CV_32FC1);
+  for (int v = 0; v < depth.rows; ++v) {
+    if (depth.type() == CV_16UC1) {
+      convertRow(depth.ptr<uint16_t>(v), 0.001f, depth.cols, metres->ptr<float>(v));
+    } else {
+      convertRow(depth.ptr<float>(v), 1.0f, depth.cols, metres->ptr<float>(v));
+    }
+  }
+}
+
+}  // namespace core_perception

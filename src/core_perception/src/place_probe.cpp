@@ -1,0 +1,103 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "core_perception/place_probe.h"
+
+#include <algorithm>
+#include <cmath>
+#include <opencv2/imgproc.hpp>
+
+namespace core_perception {
+namespace {
+
+constexpr double kMargin_m = 0.03;         // around the footprint, so that one seen edge-on has an inside
+constexpr int kFewestExpected = 4;         // pixels
+constexpr double kFloorShare = 0.6;
+constexpr double kStandingShare = 0.05;    // of the expected pixels: stray points
+constexpr int kMostPixels = 4000;          // more are thinned out
+
+Polygon grow(const Polygon& footprint) {
+  std::vector<Point2> corners;
+  for (const Point2& corner : footprint) {
+    const Polygon square = makeSquare(corner, 2.0 * kMargin_m);
+    corners.insert(corners.end(), square.begin(), square.end());
+  }
+  return computeConvexHull(std::move(corners));
+}
+
+}  // namespace
+
+PlaceView PlaceProbe::look(const HeldInstance& held) const {
+  const Polygon place = grow(held.footprint);
+  if (!isInView(place)) return PlaceView::kHidden;
+  const bool flat = held.z_max_m - range_.floor_z_m < range_.metric_min_height_m;
+  const auto& looked_for = frame_.classes_evaluated;
+  if (flat && std::count(looked_for.begin(), looked_for.end(), held.class_name) == 0) return PlaceView::kHidden;
+  std::vector<uint16_t> ids;
+  for (const LabelClass& label : frame_.classes) {
+    if (label.class_name == held.class_name) ids.push_back(label.id);
+  }
+  const Evidence seen = gather(place, findPixels(place, held.z_max_m), ids);
+  if (seen.n_standing > kStandingShare * seen.n_expected) return PlaceView::kOccupied;
+  const bool empty = seen.n_expected >= kFewestExpected && seen.n_floor >= kFloorShare * seen.n_expected;
+  return empty ? PlaceView::kEmpty : PlaceView::kHidden;
+}
+
+bool PlaceProbe::isInView(const Polygon& place) const {
+  const Camera& camera = projection_.camera();
+  return std::all_of(place.begin(), place.end(), [&](const Point2& corner) {
+    const Eigen::Vector3d pixel = projection_.project({corner.x, corner.y, range_.floor_z_m});
+    return pixel.z() >= range_.range_min_m && pixel.z() <= range_.range_max_m && pixel.x() >= 0.0 &&
+           pixel.y() >= 0.0 && pixel.x() <= camera.width_px - 1 && pixel.y() <= camera.height_px - 1;
+  });
+}
+
+cv::Rect PlaceProbe::findPixels(const Polygon& place, double top_z_m) const {
+  std::vector<cv::Point> corners;
+  for (const Point2& corner : place) {
+    for (const double z_m : {range_.floor_z_m, top_z_m}) {
+      const Eigen::Vector3d pixel = projection_.project({corner.x, corner.y, z_m});
+      const Camera& camera = projection_.camera();
+      if (pixel.z() < range_.range_min_m) continue;  // its upper end leans behind the camera
+      corners.emplace_back(
+          static_cast<int>(std::floor(std::min(std::max(pixel.x(), 0.0), camera.width_px - 1.0))),
+          static_cast<int>(std::floor(std::min(std::max(pixel.y(), 0.0), camera.height_px - 1.0))));
+    }
+  }
+  cv::Rect box = cv::boundingRect(corners);
+  box += cv::Size(1, 1);  // floor above may have cut the last column and row
+  return box & cv::Rect(0, 0, metres_.cols, metres_.rows);
+}
+
+PlaceProbe::Evidence PlaceProbe::gather(const Polygon& place, const cv::Rect& pixels,
+                                        const std::vector<uint16_t>& ids) const {
+  Evidence evidence;
+  const int step = std::max(1, static_cast<int>(std::sqrt(static_cast<double>(pixels.area()) / kMostPixels)));
+  for (int v = pixels.y; v < pixels.y + pixels.height; v += step) {
+    const uint16_t* labels = frame_.labels.ptr<uint16_t>(v);
+    for (int u = pixels.x; u < pixels.x + pixels.width; u += step) {
+      judgePixel(place, u, v, std::count(ids.begin(), ids.end(), labels[u]) > 0, &evidence);
+    }
+  }
+  return evidence;
+}
+
+void PlaceProbe::judgePixel(const Polygon& place, int u, int v, bool own_label, Evidence* evidence) const {
+  const Eigen::Vector3d& camera = projection_.p_map_camera();
+  const Eigen::Vector3f ray = projection_.ray(u, v);
+  if (ray.z() < 0.0f) {
+    const float floor_depth_m = -projection_.camera_height_m() / ray.z();
+    if (contains(place, {camera.x() + ray.x() * floor_depth_m, camera.y() + ray.y() * floor_depth_m})) {
+      ++evidence->n_expected;
+    }
+  }
+  const float depth_m = metres_.ptr<float>(v)[u];
+  if (depth_m <= 0.0f) return;
+  if (!contains(place, {camera.x() + ray.x() * depth_m, camera.y() + ray.y() * depth_m})) return;
+  const float height_m = projection_.camera_height_m() + ray.z() * depth_m;
+  if (own_label || (height_m >= projection_.metricHeight(depth_m) && height_m <= range_.band_max_z_m)) {
+    ++evidence->n_standing;
+  } else if (height_m >= range_.band_min_z_m && height_m <= range_.band_max_z_m) {
+    ++evidence->n_floor;
+  }
+}
+
+}  // namespace core_perception

@@ -1,0 +1,118 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <algorithm>
+#include <cmath>
+
+#include "core_perception/ros/conversions.h"
+
+namespace core_perception {
+namespace {
+
+nav_msgs::OccupancyGrid makeOccupancyGrid(const SafetyGrid& grid, const std_msgs::Header& header) {
+  nav_msgs::OccupancyGrid message;
+  message.header = header;
+  message.info.map_load_time = header.stamp;
+  message.info.resolution = static_cast<float>(grid.frame.resolution_m);
+  message.info.width = static_cast<uint32_t>(grid.frame.width);
+  message.info.height = static_cast<uint32_t>(grid.frame.height);
+  message.info.origin.position.x = grid.frame.origin.x * grid.frame.resolution_m;
+  message.info.origin.position.y = grid.frame.origin.y * grid.frame.resolution_m;
+  message.info.origin.orientation.w = 1.0;
+  message.data.resize(grid.state.size(), -1);
+  return message;
+}
+
+core_msgs::UnsafeCause causeToMessage(const Cause& cause) {
+  core_msgs::UnsafeCause message;
+  message.rule = cause.rule;
+  message.class_name = cause.class_name;
+  message.instance_id = cause.instance_id;
+  message.motion = core_msgs::UnsafeCause::STATIC;
+  return message;
+}
+
+core_msgs::Instance instanceToMessage(const HeldInstance& held, const std::vector<Predicate>& predicates) {
+  core_msgs::Instance message;
+  message.id = held.id;
+  message.class_name = held.class_name;
+  for (const Point2& corner : held.footprint) {
+    geometry_msgs::Point32 point;
+    point.x = static_cast<float>(corner.x);
+    point.y = static_cast<float>(corner.y);
+    message.footprint.push_back(point);
+  }
+  message.z_min_m = static_cast<float>(held.z_min_m);
+  message.z_max_m = static_cast<float>(held.z_max_m);
+  message.cluster = held.cluster;
+  message.in_view = held.in_view;
+  message.last_seen.fromSec(held.last_seen_s);
+  message.frames_seen = held.frames_seen;
+  message.verdict =
+      isUnsafeClass(held.class_name, predicates) ? core_msgs::Instance::UNSAFE : core_msgs::Instance::SAFE;
+  return message;
+}
+
+}  // namespace
+
+core_msgs::SafetyGrid safetyGridToMessage(const SafetyGrid& grid, const std_msgs::Header& header,
+                                          const ros::Time& constraints_stamp) {
+  core_msgs::SafetyGrid message;
+  message.header = header;
+  message.constraints_stamp = constraints_stamp;
+  message.resolution_m = grid.frame.resolution_m;
+  message.width = static_cast<uint32_t>(grid.frame.width);
+  message.height = static_cast<uint32_t>(grid.frame.height);
+  message.origin_x_m = grid.frame.origin.x * grid.frame.resolution_m;
+  message.origin_y_m = grid.frame.origin.y * grid.frame.resolution_m;
+  message.n_safe = grid.n_safe;
+  message.n_unsafe = grid.n_unsafe;
+  message.h_m = grid.h_m;
+  message.state.reserve(grid.state.size());
+  for (const CellState state : grid.state) message.state.push_back(static_cast<uint8_t>(state));
+  message.unknown_is_unsafe = grid.unknown_is_unsafe;
+  message.cause = grid.cause;
+  for (const Cause& cause : grid.causes) message.causes.push_back(causeToMessage(cause));
+  message.speed_cap_mps = grid.speed_cap_mps;
+  return message;
+}
+
+core_msgs::InstanceArray instancesToMessage(const std::vector<HeldInstance>& instances,
+                                            const std::vector<Predicate>& predicates, const std_msgs::Header& header) {
+  core_msgs::InstanceArray message;
+  message.header = header;
+  for (const HeldInstance& held : instances) message.instances.push_back(instanceToMessage(held, predicates));
+  return message;
+}
+
+nav_msgs::OccupancyGrid probabilityToMessage(const SafetyGrid& grid, const std_msgs::Header& header) {
+  nav_msgs::OccupancyGrid message = makeOccupancyGrid(grid, header);
+  for (size_t i = 0; i < grid.state.size(); ++i) {
+    const double total = static_cast<double>(grid.n_safe[i]) + grid.n_unsafe[i];
+    const bool region = grid.cause[i] != kNoCause && grid.causes[grid.cause[i]].instance_id != 0;
+    if (region) {
+      message.data[i] = 100;
+    } else if (total > 0.0) {
+      message.data[i] = static_cast<int8_t>(std::lround(100.0 * grid.n_unsafe[i] / total));
+    }
+  }
+  return message;
+}
+
+nav_msgs::OccupancyGrid decisionToMessage(const SafetyGrid& grid, const std_msgs::Header& header) {
+  nav_msgs::OccupancyGrid message = makeOccupancyGrid(grid, header);
+  for (size_t i = 0; i < grid.state.size(); ++i) {
+    if (grid.state[i] != CellState::kUnknown) message.data[i] = grid.state[i] == CellState::kUnsafe ? 100 : 0;
+  }
+  return message;
+}
+
+octomap_msgs::Octomap octomapToMessage(WireFormat format, const std_msgs::Header& header, SemanticOcTree* tree) {
+  octomap_msgs::Octomap message;
+  message.header = header;
+  message.binary = format == WireFormat::kBinary;
+  message.id = idOf(format);
+  message.resolution = tree->getResolution();
+  message.data = serialise(format, tree);
+  return message;
+}
+
+}  // namespace core_perception

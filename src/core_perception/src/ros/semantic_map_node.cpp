@@ -1,0 +1,241 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "core_perception/ros/semantic_map_node.h"
+
+#include <diagnostic_msgs/DiagnosticArray.h>
+#include <tf2_eigen/tf2_eigen.h>
+
+#include <algorithm>
+
+#include "core_perception/exceptions.h"
+
+namespace core_perception {
+namespace {
+
+constexpr double kTfCache_s = 60.0;  // a segmenter may need seconds for its labels
+constexpr double kClockSetBack_s = 1.0;
+
+diagnostic_msgs::KeyValue makeEntry(const std::string& key, const std::string& value) {
+  diagnostic_msgs::KeyValue entry;
+  entry.key = key;
+  entry.value = value;
+  return entry;
+}
+
+}  // namespace
+
+SemanticMapNode::SemanticMapNode(const NodeParams& params)
+    : params_(params),
+      map_(params.map),
+      queue_(params.lockstep, params.slop_s, params.queue_size),
+      tf_(ros::Duration(kTfCache_s)) {
+  tf_.setUsingDedicatedThread(true);  // look-ups below never wait
+  advertise();
+  subscribe();
+}
+
+void SemanticMapNode::advertise() {
+  const bool latch = params_.lockstep;
+  grid_pub_ = nh_.advertise<core_msgs::SafetyGrid>("safety_grid", 10, latch);
+  instances_pub_ = nh_.advertise<core_msgs::InstanceArray>("semantic_map/instances", 10, latch);
+  probability_pub_ = nh_.advertise<nav_msgs::OccupancyGrid>("semantic_map/probability", 10, latch);
+  unsafe_pub_ = nh_.advertise<nav_msgs::OccupancyGrid>("semantic_map/unsafe", 10, latch);
+  diagnostics_pub_ = nh_.advertise<diagnostic_msgs::DiagnosticArray>("diagnostics", 10);
+  const std::pair<WireFormat, const char*> topics[] = {{WireFormat::kFull, "octomap_full"},
+                                                       {WireFormat::kBinary, "octomap_binary"},
+                                                       {WireFormat::kColor, "octomap_color"},
+                                                       {WireFormat::kSemantic, "semantic_octomap"}};
+  for (const auto& topic : topics) {
+    octomap_pubs_[topic.first] = nh_.advertise<octomap_msgs::Octomap>(topic.second, 1, true);
+  }
+  services_.push_back(nh_.advertiseService("semantic_map/reset", &SemanticMapNode::onReset, this));
+  using Request = octomap_msgs::GetOctomap::Request;
+  using Response = octomap_msgs::GetOctomap::Response;
+  for (const WireFormat format : {WireFormat::kFull, WireFormat::kBinary}) {
+    const boost::function<bool(Request&, Response&)> answer = [this, format](Request&, Response& response) {
+      return onGetOctomap(format, &response);
+    };
+    services_.push_back(
+        nh_.advertiseService(format == WireFormat::kFull ? "octomap_full" : "octomap_binary", answer));
+  }
+  timers_.push_back(
+      nh_.createWallTimer(ros::WallDuration(params_.octomap_period_s), &SemanticMapNode::publishOctomaps, this));
+  timers_.push_back(nh_.createWallTimer(ros::WallDuration(1.0), &SemanticMapNode::publishDiagnostics, this));
+}
+
+void SemanticMapNode::subscribe() {
+  const auto hints = ros::TransportHints().tcpNoDelay();
+  const auto size = static_cast<uint32_t>(params_.queue_size);
+  const auto listen = [&](const std::string& topic, auto callback, auto message) {
+    using Message = decltype(message);
+    const boost::function<void(const boost::shared_ptr<Message const>&)> function = callback;
+    subscribers_.push_back(nh_.subscribe<Message>(topic, size, function, ros::VoidConstPtr(), hints));
+  };
+  // Transforms are taken here rather than by a TransformListener, so that a frame is tried again when one arrives.
+  listen("/tf", [this](const auto& m) { onTf(*m, false); }, tf2_msgs::TFMessage());
+  listen("/tf_static", [this](const auto& m) { onTf(*m, true); }, tf2_msgs::TFMessage());
+  listen("camera/depth/image_raw", [this](const auto& m) { onDepth(m); }, sensor_msgs::Image());
+  const auto enqueue = [this](const auto& message, const char* what) {
+    if (!hasStamp(*message, what)) return;
+    queue_.add(message);
+    processQueue();
+  };
+  listen("camera/color/camera_info", [enqueue](const auto& m) { enqueue(m, "camera_info"); },
+         sensor_msgs::CameraInfo());
+  listen("segmentation/label_info", [enqueue](const auto& m) { enqueue(m, "label_info"); }, core_msgs::LabelInfo());
+  listen("safety/constraints", [enqueue](const auto& m) { enqueue(m, "constraints"); },
+         core_msgs::SafetyConstraints());
+  const auto on_labels = [this](const auto& message) {
+    if (!hasStamp(*message, "labels")) return;
+    queue_.add(message, false);
+    processQueue();
+  };
+  listen("segmentation/labels", on_labels, sensor_msgs::Image());
+}
+
+template <typename Message>
+bool SemanticMapNode::hasStamp(const Message& message, const char* what) {
+  if (!message.header.stamp.isZero()) return true;
+  reject("stamp_invalid", std::string(what) + " has stamp 0");
+  return false;
+}
+
+void SemanticMapNode::onDepth(const sensor_msgs::ImageConstPtr& depth) {
+  if (!hasStamp(*depth, "depth")) return;
+  const ros::Time& stamp = depth->header.stamp;
+  const double back_s = (last_depth_ - stamp).toSec();
+  if (back_s > (params_.lockstep ? 0.0 : kClockSetBack_s)) flush(stamp);
+  last_depth_ = stamp;
+  queue_.add(depth, true);
+  processQueue();
+}
+
+void SemanticMapNode::onTf(const tf2_msgs::TFMessage& message, bool is_static) {
+  for (const geometry_msgs::TransformStamped& transform : message.transforms) {
+    if (!is_static) {
+      ros::Time& newest = tf_stamps_[transform.child_frame_id];
+      // After the clock was set back the buffer would refuse transforms as too old. Static ones survive clear().
+      if ((newest - transform.header.stamp).toSec() > kClockSetBack_s) tf_.clear();
+      newest = transform.header.stamp;
+    }
+    tf_.setTransform(transform, "tf", is_static);
+  }
+  processQueue();
+}
+
+void SemanticMapNode::processQueue() {
+  for (const FrameMessages& messages : queue_.findComplete(ros::Time::now())) {
+    const ros::Time stamp = messages.depth->header.stamp;
+    if (stamp > last_frame_) {
+      if (!process(messages)) {
+        if (params_.lockstep) return;
+        continue;  // a later one may have its pose already; this one is dropped then
+      }
+      last_frame_ = stamp;
+    }
+    n_dropped_ += static_cast<uint64_t>(std::max(0, queue_.dropUpTo(stamp)));
+  }
+}
+
+bool SemanticMapNode::process(const FrameMessages& messages) {
+  const ros::WallTime start = ros::WallTime::now();
+  try {
+    Frame frame = frameFromMessages(messages, params_.ignore_distortion);
+    const Constraints constraints = constraintsFromMessage(messages.constraints);
+    if (!lookUpPose(messages.depth->header, &frame)) return false;
+    map_.update(frame, constraints);
+    std_msgs::Header header = mapHeader();
+    header.stamp = messages.depth->header.stamp;
+    publish(header, constraints, messages.constraints == nullptr ? ros::Time() : messages.constraints->image_stamp);
+    ++n_frames_;
+  } catch (const FrameError& error) {
+    reject(error.reason(), error.what());
+  }
+  update_ms_ = (ros::WallTime::now() - start).toSec() * 1e3;
+  slowest_update_ms_ = std::max(slowest_update_ms_, update_ms_);
+  return true;
+}
+
+bool SemanticMapNode::lookUpPose(const std_msgs::Header& header, Frame* frame) {
+  try {
+    frame->T_map_camera = tf2::transformToEigen(tf_.lookupTransform(params_.map_frame, header.frame_id, header.stamp));
+    const Eigen::Isometry3d base =
+        tf2::transformToEigen(tf_.lookupTransform(params_.map_frame, params_.base_frame, header.stamp));
+    frame->p_map_base = Point2{base.translation().x(), base.translation().y()};
+    return true;
+  } catch (const tf2::TransformException& error) {
+    ROS_WARN_THROTTLE(5.0, "semantic_map: waiting for tf: %s", error.what());
+    return false;
+  }
+}
+
+void SemanticMapNode::publish(const std_msgs::Header& header, const Constraints& constraints,
+                              const ros::Time& constraints_stamp) {
+  const SafetyGrid& grid = map_.grid();
+  grid_pub_.publish(safetyGridToMessage(grid, header, constraints_stamp));
+  instances_pub_.publish(instancesToMessage(map_.instances(), constraints.predicates, header));
+  const bool latch = params_.lockstep;
+  if (latch || probability_pub_.getNumSubscribers() > 0) probability_pub_.publish(probabilityToMessage(grid, header));
+  if (latch || unsafe_pub_.getNumSubscribers() > 0) unsafe_pub_.publish(decisionToMessage(grid, header));
+}
+
+std_msgs::Header SemanticMapNode::mapHeader() const {
+  std_msgs::Header header;
+  header.stamp = last_frame_;
+  header.frame_id = params_.map_frame;
+  return header;
+}
+
+void SemanticMapNode::publishOctomaps(const ros::WallTimerEvent&) {
+  for (auto& entry : octomap_pubs_) {
+    const bool changed = octomap_versions_[entry.first] != map_.votes().version();
+    if (entry.second.getNumSubscribers() == 0 || !changed) continue;
+    octomap_versions_[entry.first] = map_.votes().version();
+    entry.second.publish(octomapToMessage(entry.first, mapHeader(), &map_.votes().tree()));
+  }
+}
+
+void SemanticMapNode::publishDiagnostics(const ros::WallTimerEvent&) {
+  diagnostic_msgs::DiagnosticArray array;
+  array.header.stamp = ros::Time::now();
+  diagnostic_msgs::DiagnosticStatus status;
+  status.name = "semantic_map";
+  status.hardware_id = nh_.getNamespace();
+  status.level = last_rejection_.empty() ? diagnostic_msgs::DiagnosticStatus::OK : diagnostic_msgs::DiagnosticStatus::ERROR;
+  status.message = !last_rejection_.empty() ? last_rejection_ : n_frames_ > 0 ? "running" : "no frame yet";
+  status.values = {makeEntry("frames", std::to_string(n_frames_)),
+                   makeEntry("rejected", std::to_string(n_rejected_)),
+                   makeEntry("dropped", std::to_string(n_dropped_)),
+                   makeEntry("instances", std::to_string(map_.instances().size())),
+                   makeEntry("octree_nodes", std::to_string(map_.votes().tree().size())),
+                   makeEntry("update_ms", std::to_string(update_ms_)),
+                   makeEntry("slowest_update_ms", std::to_string(slowest_update_ms_))};
+  array.status.push_back(status);
+  diagnostics_pub_.publish(array);
+  last_rejection_.clear();
+  slowest_update_ms_ = 0.0;
+}
+
+void SemanticMapNode::reject(const std::string& reason, const std::string& detail) {
+  ++n_rejected_;
+  last_rejection_ = "rejected: " + detail;
+  ROS_ERROR_THROTTLE(5.0, "semantic_map: frame rejected (%s): %s", reason.c_str(), detail.c_str());
+}
+
+void SemanticMapNode::flush(const ros::Time& stamp) {
+  ROS_WARN("semantic_map: the stamp went back to %.3f s: the map is flushed", stamp.toSec());
+  map_.clear();
+  queue_.dropAfter(stamp);
+  last_frame_ = ros::Time();
+}
+
+bool SemanticMapNode::onReset(std_srvs::Empty::Request&, std_srvs::Empty::Response&) {
+  map_.clear();
+  return true;
+}
+
+bool SemanticMapNode::onGetOctomap(WireFormat format, octomap_msgs::GetOctomap::Response* response) {
+  response->map = octomapToMessage(format, mapHeader(), &map_.votes().tree());
+  return true;
+}
+
+}  // namespace core_perception

@@ -1,0 +1,109 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "core_perception/semantic_octree.h"
+
+#include <cmath>
+#include <istream>
+#include <ostream>
+
+namespace core_perception {
+
+void SemanticOcTreeNode::copyData(const SemanticOcTreeNode& from) {
+  octomap::OcTreeNode::copyData(from);
+  n_safe_ = from.n_safe_;
+  n_unsafe_ = from.n_unsafe_;
+}
+
+void SemanticOcTreeNode::setCounts(uint32_t n_safe, uint32_t n_unsafe) {
+  n_safe_ = n_safe;
+  n_unsafe_ = n_unsafe;
+  setValue(static_cast<float>(std::log((n_unsafe + 0.5) / (n_safe + 0.5))));
+}
+
+void SemanticOcTreeNode::freeChildren() {
+  delete[] children;
+  children = nullptr;
+}
+
+std::istream& SemanticOcTreeNode::readData(std::istream& stream) {
+  stream.read(reinterpret_cast<char*>(&value), sizeof(value));
+  stream.read(reinterpret_cast<char*>(&n_safe_), sizeof(n_safe_));
+  return stream.read(reinterpret_cast<char*>(&n_unsafe_), sizeof(n_unsafe_));
+}
+
+std::ostream& SemanticOcTreeNode::writeData(std::ostream& stream) const {
+  stream.write(reinterpret_cast<const char*>(&value), sizeof(value));
+  stream.write(reinterpret_cast<const char*>(&n_safe_), sizeof(n_safe_));
+  return stream.write(reinterpret_cast<const char*>(&n_unsafe_), sizeof(n_unsafe_));
+}
+
+SemanticOcTree::Registration SemanticOcTree::registration_;
+
+SemanticOcTree::Registration::Registration() {
+  auto* prototype = new SemanticOcTree(0.1);  // owned by OctoMap's factory from here on
+  prototype->clearKeyRays();
+  octomap::AbstractOcTree::registerTreeType(prototype);
+}
+
+SemanticOcTree::SemanticOcTree(double resolution_m)
+    : octomap::OccupancyOcTreeBase<SemanticOcTreeNode>(resolution_m) {
+  registration_.ensureLinking();
+}
+
+SemanticOcTreeNode* SemanticOcTree::touch(const octomap::OcTreeKey& key) {
+  if (root == nullptr) {
+    root = new SemanticOcTreeNode();
+    ++tree_size;
+    size_changed = true;
+    path_valid_ = false;
+  }
+  unsigned depth = 0;
+  if (path_valid_) {
+    // The common path ends above the highest bit in which the keys differ.
+    unsigned differing = (key[0] ^ last_key_[0]) | (key[1] ^ last_key_[1]) | (key[2] ^ last_key_[2]);
+    for (depth = kDepth; differing != 0; differing >>= 1) --depth;
+  }
+  path_[0] = root;
+  for (; depth < kDepth; ++depth) {
+    SemanticOcTreeNode* node = path_[depth];
+    const unsigned child = octomap::computeChildIdx(key, static_cast<int>(kDepth - 1 - depth));
+    if (!nodeChildExists(node, child)) {
+      // A leaf with votes above the last level stands for all it covers.
+      const bool pruned_leaf = !nodeHasChildren(node) && (node->n_safe() > 0 || node->n_unsafe() > 0);
+      if (pruned_leaf) {
+        expandNode(node);
+      } else {
+        createNodeChild(node, child);
+      }
+      if (pruned_leaf) node->setCounts(0, 0);
+    }
+    path_[depth + 1] = getNodeChild(node, child);
+  }
+  last_key_ = key;
+  path_valid_ = true;
+  return path_[kDepth];
+}
+
+void SemanticOcTree::erase(const octomap::OcTreeKey& key) {
+  if (search(key) == nullptr) return;
+  touch(key);  // expands a pruned leaf on the way and fills path_
+  path_valid_ = false;
+  for (unsigned depth = kDepth; depth > 0; --depth) {
+    SemanticOcTreeNode* parent = path_[depth - 1];
+    deleteNodeChild(parent, octomap::computeChildIdx(key, static_cast<int>(kDepth - depth)));
+    if (nodeHasChildren(parent)) return;
+    parent->freeChildren();
+  }
+  clear();  // a root without children would stand for the whole world
+}
+
+void SemanticOcTree::clear() {
+  path_valid_ = false;
+  octomap::OccupancyOcTreeBase<SemanticOcTreeNode>::clear();
+}
+
+void SemanticOcTree::prune() {
+  path_valid_ = false;
+  octomap::OccupancyOcTreeBase<SemanticOcTreeNode>::prune();
+}
+
+}  // namespace core_perception

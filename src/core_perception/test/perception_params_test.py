@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Parameters: the shipped files load, every wrong value is refused in one line, defaults and files agree."""
+
+import dataclasses
+
+import pytest
+import yaml
+
+from core_perception.exceptions import ParameterError
+from core_perception.params import OverlayParams, ReasonerParams, SegmenterParams
+
+NODES = {"safety_reasoner": ReasonerParams, "segmenter": SegmenterParams, "safety_overlay": OverlayParams}
+
+
+@pytest.mark.parametrize("profile", ["core", "paper"])
+@pytest.mark.parametrize("node", sorted(NODES))
+def test_shipped_profiles_name_every_parameter(config_dir, profile, node):
+    section = yaml.safe_load((config_dir / f"{profile}.yaml").read_text(encoding="utf-8"))[node]
+    params = NODES[node].from_dict(section)
+    assert set(section) == {field.name for field in dataclasses.fields(params)}
+    if profile == "core":
+        assert params == NODES[node]()
+
+
+@pytest.mark.parametrize("profile", ["core", "paper"])
+def test_surfaces_of_the_map_are_surfaces_of_the_list(config_dir, ontology, profile):
+    section = yaml.safe_load((config_dir / f"{profile}.yaml").read_text(encoding="utf-8"))["semantic_map"]
+    assert section["surface_classes"]
+    for name in section["surface_classes"]:
+        assert name in ontology.classes
+        assert ontology.look_up(name).is_surface
+
+
+BAD = [
+    (ReasonerParams, {"reasoner": "gpt"}, "reasoner"),
+    (ReasonerParams, {"reasoner": ["ontology"]}, "reasoner"),
+    (ReasonerParams, {"reasoner": "oracle"}, "predicates"),
+    (ReasonerParams, {"lockstep": 1}, "lockstep"),
+    (ReasonerParams, {"lockstep": "true"}, "lockstep"),
+    (ReasonerParams, {"rate_hz": 0}, "rate_hz"),
+    (ReasonerParams, {"rate_hz": "10"}, "rate_hz"),
+    (ReasonerParams, {"rate_hz": True}, "rate_hz"),
+    (ReasonerParams, {"rate_hz": float("nan")}, "rate_hz"),
+    (ReasonerParams, {"rate_hz": float("inf")}, "rate_hz"),
+    (ReasonerParams, {"latency_s": 0.0}, "latency_s"),
+    (ReasonerParams, {"latency_s": -0.1}, "latency_s"),
+    (ReasonerParams, {"ontology_file": 3}, "ontology_file"),
+    (ReasonerParams, {"predicates": "ON(floor)=safe"}, "predicates"),
+    (ReasonerParams, {"predicates": ["ON(floor)"]}, "predicates"),
+    (ReasonerParams, {"predicates": [7]}, "predicates"),
+    (ReasonerParams, {"memory": None}, "memory"),
+    (ReasonerParams, {"link_m": 0}, "link_m"),
+    (ReasonerParams, {"frames_of_three": 0}, "frames_of_three"),
+    (ReasonerParams, {"frames_of_three": 2.5}, "frames_of_three"),
+    (ReasonerParams, {"lock_step": True}, "lock_step"),
+    (ReasonerParams, [], "~"),
+    (SegmenterParams, {"segmenter": "sam3"}, "segmenter"),
+    (SegmenterParams, {"miss_rate": 1.1}, "miss_rate"),
+    (SegmenterParams, {"pixel_drop_rate": -0.1}, "pixel_drop_rate"),
+    (SegmenterParams, {"erode_px": 1.0}, "erode_px"),
+    (SegmenterParams, {"seed": -1}, "seed"),
+    (SegmenterParams, {"colour": 1}, "colour"),
+    (OverlayParams, {"rate_hz": 1000.0}, "rate_hz"),
+    (OverlayParams, {"scale": 5}, "scale"),
+    (OverlayParams, {"opacity": 2}, "opacity"),
+    (OverlayParams, {"obstacle_height_m": -1}, "obstacle_height_m"),
+    (OverlayParams, {"max_range_m": 0}, "max_range_m"),
+    (OverlayParams, {"tf_timeout_s": "x"}, "tf_timeout_s"),
+]
+
+
+@pytest.mark.parametrize("params_class, values, key", BAD)
+def test_a_wrong_parameter_is_refused_by_name_value_and_what_is_allowed(params_class, values, key):
+    with pytest.raises(ParameterError, match="allowed") as error:
+        params_class.from_dict(values)
+    assert error.value.key == key
+    assert str(error.value).startswith(f"{key}: got ")
+    assert "\n" not in str(error.value)
+
+
+def test_integers_are_numbers_and_statements_become_canonical():
+    params = ReasonerParams.from_dict(
+        {"rate_hz": 5, "reasoner": "oracle", "predicates": ["around(Fork Lift, 2)", "on(floor) = safe"]}
+    )
+    assert params.rate_hz == 5.0
+    assert params.predicates == ("AROUND(fork_lift, 2.0)=unsafe", "ON(floor)=safe")

@@ -1,0 +1,230 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "core_perception/semantic_map.h"
+
+#include <gtest/gtest.h>
+
+#include "core_perception/exceptions.h"
+#include "scene.h"
+
+namespace core_perception {
+namespace {
+
+constexpr double kPeriod_s = 0.1;
+
+size_t indexAt(const SafetyGrid& grid, double x_m, double y_m) {
+  const int x = static_cast<int>(std::floor(x_m / grid.frame.resolution_m)) - grid.frame.origin.x;
+  const int y = static_cast<int>(std::floor(y_m / grid.frame.resolution_m)) - grid.frame.origin.y;
+  EXPECT_TRUE(x >= 0 && y >= 0 && x < grid.frame.width && y < grid.frame.height);
+  return static_cast<size_t>(y) * grid.frame.width + x;
+}
+
+CellState stateAt(const SafetyGrid& grid, double x_m, double y_m) { return grid.state[indexAt(grid, x_m, y_m)]; }
+
+std::string ruleAt(const SafetyGrid& grid, double x_m, double y_m) {
+  const uint16_t cause = grid.cause[indexAt(grid, x_m, y_m)];
+  return cause == kNoCause ? "" : grid.causes[cause].rule;
+}
+
+SemanticMapParams makePaperParams() {
+  SemanticMapParams p;
+  p.operators = "image";
+  p.unknown_is_unsafe = false;
+  p.initial_disc_radius_m = 4.0;
+  p.distance = "centre";
+  p.range.range_min_m = 3.0;
+  p.range.tree_min_z_m = p.range.band_min_z_m = -2.0;
+  p.range.tree_max_z_m = p.range.band_max_z_m = 5.0;
+  p.range.depth_edge_ratio = 0.0;
+  p.vote.votes = "pixel";
+  p.vote.column = "sum";
+  p.vote.count_cap = 0;
+  p.vote.metric_layer = p.vote.free_space_clearing = false;
+  return p;
+}
+
+TEST(SemanticMap, floor_is_safe_and_the_line_between_cones_is_not) {
+  SemanticMap map{SemanticMapParams()};
+  const Scene scene = makeConeLine();
+  for (int k = 1; k <= 3; ++k) map.update(scene.render(k * kPeriod_s, 0.0, 0.0, 0.0), makeConeRules());
+  const SafetyGrid& grid = map.grid();
+  ASSERT_EQ(map.instances().size(), 5u);
+  EXPECT_EQ(stateAt(grid, 3.0, 0.0), CellState::kSafe);
+  EXPECT_EQ(stateAt(grid, 3.0, 1.5), CellState::kSafe);
+  for (double y = -2.0; y <= 2.0; y += 0.1) {
+    EXPECT_EQ(stateAt(grid, 4.9, y), CellState::kUnsafe) << y;
+    EXPECT_EQ(ruleAt(grid, 4.9, y), "BETWEEN(traffic_cone)") << y;
+  }
+  EXPECT_EQ(stateAt(grid, 0.0, 0.0), CellState::kSafe) << "initial disc";
+  EXPECT_EQ(stateAt(grid, 0.0, 3.0), CellState::kUnknown);
+  EXPECT_EQ(ruleAt(grid, 0.0, 3.0), kUnknownRule);
+  EXPECT_LT(grid.h_m[indexAt(grid, 0.0, 3.0)], 0.0f);
+}
+
+TEST(SemanticMap, line_holds_while_the_cones_are_out_of_view_and_the_floor_between_them_is_in_view) {
+  SemanticMap map{SemanticMapParams()};
+  Scene two;
+  two.cylinders = {{"traffic_cone", {5.0, -1.3}}, {"traffic_cone", {5.0, 1.3}}};
+  double stamp_s = 0.0;
+  for (int k = 0; k < 5; ++k) map.update(two.render(stamp_s += kPeriod_s, 0.0, 0.0, 0.0), makeConeRules());
+  ASSERT_EQ(stateAt(map.grid(), 4.9, 0.0), CellState::kUnsafe);
+  // At x = 3.5 m the camera looks between the cones: both lie outside its image, the floor between them inside.
+  for (int k = 0; k < 50; ++k) map.update(two.render(stamp_s += kPeriod_s, 3.5, 0.0, 0.0), makeConeRules());
+  ASSERT_EQ(map.instances().size(), 2u);
+  EXPECT_FALSE(map.instances()[0].in_view || map.instances()[1].in_view);
+  const SafetyGrid& grid = map.grid();
+  EXPECT_GT(grid.n_safe[indexAt(grid, 4.9, 0.0)], 0u) << "the floor there was voted safe meanwhile";
+  for (double y = -1.3; y <= 1.3; y += 0.1) EXPECT_EQ(stateAt(grid, 4.9, y), CellState::kUnsafe) << y;
+}
+
+TEST(SemanticMap, votes_alone_lose_the_line_in_profile_paper) {
+  SemanticMap map{makePaperParams()};
+  const Scene scene = makeConeLine();
+  double stamp_s = 0.0;
+  for (int k = 0; k < 5; ++k) map.update(scene.render(stamp_s += kPeriod_s, 0.0, 0.0, 0.0), makeConeRules());
+  const SafetyGrid& grid = map.grid();
+  EXPECT_EQ(stateAt(grid, 4.9, 0.0), CellState::kUnsafe);
+  EXPECT_EQ(stateAt(grid, 3.9, 0.0), CellState::kSafe);
+  EXPECT_EQ(stateAt(grid, -5.0, 0.0), CellState::kUnknown);
+  EXPECT_GT(grid.h_m[indexAt(grid, -5.0, 0.0)], 0.0f) << "unknown is safe there";
+}
+
+TEST(SemanticMap, removed_cones_are_forgotten_once_their_places_are_seen_empty) {
+  SemanticMap map{SemanticMapParams()};
+  double stamp_s = 0.0;
+  for (int k = 0; k < 20; ++k) map.update(makeConeLine().render(stamp_s += kPeriod_s, 0, 0, 0), makeConeRules());
+  ASSERT_EQ(map.instances().size(), 5u);
+  Scene empty = makeConeLine();
+  for (Cylinder& cone : empty.cylinders) cone.centre.x = 50.0;  // still asked for, no longer there
+  int frames = 0;
+  while (!map.instances().empty() && frames < 50) {
+    map.update(empty.render(stamp_s += kPeriod_s, 0.0, 0.0, 0.0), makeConeRules());
+    ++frames;
+  }
+  EXPECT_EQ(frames, SemanticMapParams().instance.release_frames);
+  for (int k = 0; k < 15; ++k) map.update(empty.render(stamp_s += kPeriod_s, 0.0, 0.0, 0.0), makeConeRules());
+  for (double y = -2.0; y <= 2.0; y += 0.1) EXPECT_EQ(stateAt(map.grid(), 4.9, y), CellState::kSafe) << y;
+}
+
+TEST(SemanticMap, obstacle_is_unsafe_whatever_the_predicates_say) {
+  SemanticMap map{SemanticMapParams()};
+  Scene scene;
+  scene.cylinders = {{"statue", {3.0, 0.0}}};
+  Constraints captured;
+  captured.image_stamp_s = 0.5;
+  captured.predicates = {makePredicate(SpatialOperator::kOn, "floor", Verdict::kSafe),
+                         makePredicate(SpatialOperator::kNear, "statue", Verdict::kSafe),
+                         makePredicate(SpatialOperator::kOn, "statue", Verdict::kSafe)};
+  map.update(scene.render(1.0, 0.0, 0.0, 0.0), captured);
+  EXPECT_EQ(stateAt(map.grid(), 2.9, 0.0), CellState::kUnsafe);
+  EXPECT_EQ(ruleAt(map.grid(), 2.9, 0.0), kMetricRule);
+}
+
+TEST(SemanticMap, what_hangs_above_the_robot_does_not_mark_the_floor) {
+  SemanticMap map{SemanticMapParams()};
+  Scene scene;
+  scene.cylinders = {{"lamp", {5.0, 0.0}, 0.3, 1.2, 1.5}};
+  Constraints rules = makeConeRules();
+  for (int k = 1; k <= 5; ++k) map.update(scene.render(k * kPeriod_s, 0.0, 0.0, 0.0), rules);
+  EXPECT_EQ(stateAt(map.grid(), 5.1, 0.0), CellState::kSafe);
+}
+
+TEST(SemanticMap, nothing_is_voted_before_the_first_answer_but_objects_are_tracked) {
+  SemanticMap map{SemanticMapParams()};
+  for (int k = 1; k <= 3; ++k) map.update(makeConeLine().render(k * kPeriod_s, 0.0, 0.0, 0.0), Constraints());
+  EXPECT_EQ(map.instances().size(), 5u);
+  EXPECT_EQ(map.votes().tree().size(), 0u);
+  EXPECT_EQ(stateAt(map.grid(), 3.0, 0.0), CellState::kUnknown);
+  EXPECT_EQ(stateAt(map.grid(), 1.0, 0.0), CellState::kSafe);
+}
+
+TEST(SemanticMap, safe_between_cancels_the_unsafe_one_and_makes_no_ground_safe) {
+  SemanticMap map{SemanticMapParams()};
+  Constraints rules = makeConeRules();
+  rules.predicates.push_back(makePredicate(SpatialOperator::kBetween, "traffic_cone", Verdict::kSafe));
+  rules.predicates.erase(rules.predicates.begin());  // nor is the floor safe
+  for (int k = 1; k <= 3; ++k) map.update(makeConeLine().render(k * kPeriod_s, 0.0, 0.0, 0.0), rules);
+  EXPECT_EQ(stateAt(map.grid(), 4.9, 0.5), CellState::kUnsafe);
+  EXPECT_EQ(ruleAt(map.grid(), 4.9, 0.5), kNotSafeRule);
+}
+
+TEST(SemanticMap, slow_predicate_caps_the_speed_instead_of_closing_the_way) {
+  SemanticMap map{SemanticMapParams()};
+  Scene scene;
+  scene.cylinders = {{"person", {4.0, 0.0}}};
+  Constraints rules = makeConeRules();
+  rules.predicates.push_back(makePredicate(SpatialOperator::kAround, "person", Verdict::kUnsafe, 1.0));
+  rules.predicates.back().severity = Severity::kSlow;
+  for (int k = 1; k <= 3; ++k) map.update(scene.render(k * kPeriod_s, 0.0, 0.0, 0.0), rules);
+  const SafetyGrid& grid = map.grid();
+  ASSERT_EQ(grid.speed_cap_mps.size(), grid.state.size());
+  EXPECT_EQ(stateAt(grid, 3.3, 0.0), CellState::kSafe);
+  EXPECT_FLOAT_EQ(grid.speed_cap_mps[indexAt(grid, 3.3, 0.0)], 0.2f);
+  EXPECT_TRUE(std::isnan(grid.speed_cap_mps[indexAt(grid, 2.3, 0.0)]));
+}
+
+TEST(SemanticMap, refused_frame_changes_nothing) {
+  SemanticMap map{SemanticMapParams()};
+  const Scene scene = makeConeLine();
+  map.update(scene.render(0.1, 0.0, 0.0, 0.0), makeConeRules());
+  const SafetyGrid before = map.grid();
+  const size_t nodes = map.votes().tree().size();
+  std::vector<Frame> bad(6, scene.render(0.2, 1.0, 0.0, 0.0));
+  bad[0].labels = bad[0].labels.rowRange(0, 100).clone();
+  bad[1].depth.convertTo(bad[1].depth, CV_64F);
+  bad[2].camera.fx_px = 0.0;
+  bad[3].stamp_s = 0.0;
+  bad[4].T_map_camera.translation().x() = std::numeric_limits<double>::quiet_NaN();
+  bad[5].depth = cv::Mat();
+  for (const Frame& frame : bad) EXPECT_THROW(map.update(frame, makeConeRules()), FrameError);
+  EXPECT_EQ(map.votes().tree().size(), nodes);
+  EXPECT_EQ(map.grid().state, before.state);
+  EXPECT_EQ(map.grid().frame.origin.x, before.frame.origin.x);
+}
+
+TEST(SemanticMap, millimetres_and_metres_give_the_same_decision) {
+  SemanticMap metres{SemanticMapParams()}, millimetres{SemanticMapParams()};
+  Frame frame = makeConeLine().render(0.1, 0.0, 0.0, 0.0);
+  frame.depth.setTo(0.0f, frame.depth != frame.depth);
+  cv::Mat mm;
+  frame.depth.convertTo(mm, CV_16UC1, 1000.0);
+  mm.convertTo(frame.depth, CV_32FC1, 0.001);
+  metres.update(frame, makeConeRules());
+  frame.depth = mm;
+  millimetres.update(frame, makeConeRules());
+  EXPECT_EQ(metres.grid().state, millimetres.grid().state);
+}
+
+TEST(SemanticMap, paper_counts_every_pixel_in_range_once) {
+  SemanticMap map{makePaperParams()};
+  const Frame frame = makeConeLine().render(0.1, 0.0, 0.0, 0.0);
+  map.update(frame, makeConeRules());
+  uint64_t expected = 0, counted = 0;
+  for (int v = 0; v < frame.depth.rows; ++v) {
+    for (int u = 0; u < frame.depth.cols; ++u) {
+      const float z = frame.depth.at<float>(v, u);
+      expected += z >= 3.0f && z <= 7.0f ? 1 : 0;
+    }
+  }
+  SemanticOcTree& tree = map.votes().tree();
+  for (auto it = tree.begin_leafs(); it != tree.end_leafs(); ++it) counted += it->n_safe() + it->n_unsafe();
+  EXPECT_GT(expected, 10000u);
+  EXPECT_EQ(counted, expected);
+}
+
+TEST(SemanticMap, clear_forgets_everything) {
+  SemanticMap map{SemanticMapParams()};
+  map.update(makeConeLine().render(0.1, 0.0, 0.0, 0.0), makeConeRules());
+  map.clear();
+  EXPECT_TRUE(map.instances().empty());
+  map.update(makeConeLine().render(0.2, 0.0, 9.0, 3.14), Constraints());
+  EXPECT_EQ(stateAt(map.grid(), 3.0, 0.0), CellState::kUnknown);
+  EXPECT_EQ(stateAt(map.grid(), 0.0, 9.0), CellState::kSafe) << "the disc is where the robot starts anew";
+}
+
+}  // namespace
+}  // namespace core_perception
+
+int main(int argc, char** argv) {
+  testing::InitGoogleTest(&argc, argv);
+  return RUN_ALL_TESTS();
+}
