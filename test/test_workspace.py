@@ -16,17 +16,25 @@ LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch"))
 
 
 def run_core(*arguments, **environment):
-    return subprocess.run(["bash", str(ROOT / "core.sh"), *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-                          env=dict(os.environ, **environment), check=False)
+    return subprocess.run(
+        ["bash", str(ROOT / "core.sh"), *arguments],
+        capture_output=True,
+        text=True,
+        env=dict(os.environ, **environment),
+        check=False,
+    )
 
 
 # Sums of the released octomap_msgs (0.3): bags and nodes built against it understand ours.
-@pytest.mark.parametrize(("definition", "md5"), [
-    (Octomap, "9a45536b45c5e409cd49f04bb2d9999f"),
-    (OctomapWithPose, "20b380aca6a508a657e95526cddaf618"),
-    (GetOctomap, "be9d2869d24fe40d6bc21ac21f6bb2c5"),
-    (BoundingBoxQuery, "93aa3d73b866f04880927745f4aab303"),
-])
+@pytest.mark.parametrize(
+    ("definition", "md5"),
+    [
+        (Octomap, "9a45536b45c5e409cd49f04bb2d9999f"),
+        (OctomapWithPose, "20b380aca6a508a657e95526cddaf618"),
+        (GetOctomap, "be9d2869d24fe40d6bc21ac21f6bb2c5"),
+        (BoundingBoxQuery, "93aa3d73b866f04880927745f4aab303"),
+    ],
+)
 def test_octomap_definitions_match_the_released_package(definition, md5):
     assert definition._md5sum == md5
 

@@ -60,7 +60,9 @@ def test_big_endian_images_are_read():
     np.testing.assert_array_equal(to.image_from_msg(message), [[1, 2, 515]])
 
 
-@pytest.mark.parametrize("image", [np.zeros((2, 2)), np.zeros((2, 2, 4), np.uint8), np.zeros((2, 2), np.uint8), np.zeros(4, np.uint16)])
+@pytest.mark.parametrize(
+    "image", [np.zeros((2, 2)), np.zeros((2, 2, 4), np.uint8), np.zeros((2, 2), np.uint8), np.zeros(4, np.uint16)]
+)
 def test_other_images_are_refused(image):
     with pytest.raises(ValueError, match="allowed"):
         to.image_to_msg(image, to.header_to_msg(0, ""))
@@ -84,7 +86,9 @@ def test_camera_info_back_projects_a_pixel():
 
 def test_labels_survive():
     header = to.header_to_msg(3, "camera")
-    message = through_the_wire(to.label_info_to_msg({30: "traffic_cone", 1: "floor"}, ("floor", "traffic_cone", "wall"), header))
+    message = through_the_wire(
+        to.label_info_to_msg({30: "traffic_cone", 1: "floor"}, ("floor", "traffic_cone", "wall"), header)
+    )
     assert to.label_info_from_msg(message) == ({1: "floor", 30: "traffic_cone"}, ("floor", "traffic_cone", "wall"))
     assert [label.id for label in message.labels] == [1, 30]
 
@@ -125,7 +129,10 @@ def test_joints_and_feet_keep_their_order():
 def test_tick_carries_both_stamps():
     message = through_the_wire(to.tick_to_msg(7, 350_000_000, 50_000_000, 300_000_000))
     assert (message.tick, message.period_s) == (7, 0.05)
-    assert (to.stamp_from_msg(message.header.stamp), to.stamp_from_msg(message.frame_stamp)) == (350_000_000, 300_000_000)
+    assert (to.stamp_from_msg(message.header.stamp), to.stamp_from_msg(message.frame_stamp)) == (
+        350_000_000,
+        300_000_000,
+    )
 
 
 def test_quaternions_of_angles():

@@ -32,7 +32,9 @@ def test_integral_agrees_with_small_euler_steps():
         dt = duration_s / steps
         x = pose[0] + dt * np.sum(np.cos(theta) * twist[0] - np.sin(theta) * twist[1])
         y = pose[1] + dt * np.sum(np.sin(theta) * twist[0] + np.cos(theta) * twist[1])
-        np.testing.assert_allclose(integrate_twist(pose, twist, duration_s), [x, y, pose[2] + twist[2] * duration_s], atol=1e-8)
+        np.testing.assert_allclose(
+            integrate_twist(pose, twist, duration_s), [x, y, pose[2] + twist[2] * duration_s], atol=1e-8
+        )
 
 
 def test_one_step_equals_many_parts():
@@ -73,7 +75,9 @@ def test_same_commands_give_the_same_bits_and_time_does_not_drift(backend):
 
     def run():
         backend.reset(np.array([0.1, 0.2, 0.3]))
-        return b"".join(backend.step(c, 0.05).p_world_base.tobytes() + backend.state.q_world_base.tobytes() for c in commands)
+        return b"".join(
+            backend.step(c, 0.05).p_world_base.tobytes() + backend.state.q_world_base.tobytes() for c in commands
+        )
 
     assert run() == run()
     assert backend.state.time_s == 100.0

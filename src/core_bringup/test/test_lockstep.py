@@ -26,10 +26,13 @@ def monitor_at(tick, frame_ns=None, timeout_s=5.0):
     return monitor
 
 
-def answer(monitor, stamp_ns, frame_ns, upto=len(CHAIN)):
-    for stage in CHAIN[:upto][: len(CHAIN) - 1]:
+ALL = len(CHAIN)
+
+
+def answer(monitor, stamp_ns, frame_ns, upto=ALL):
+    for stage in CHAIN[:upto][: ALL - 1]:
         monitor.note_stage(stage.topic, frame_ns if stage.keyed_by == "frame" else stamp_ns)
-    if upto == len(CHAIN):
+    if upto == ALL:
         monitor.note_command(COMMAND)
         monitor.note_acknowledgement(stamp_ns, COMMAND)
 
@@ -254,7 +257,12 @@ def test_bad_parameter_is_refused_in_one_line(values, words):
 
 def test_good_parameters_are_taken_and_whole_numbers_pass_for_real_ones():
     params = BridgeParams.from_dict({"rtf": 0, "tick_rate_hz": 10, "lockstep": True})
-    assert (params.rtf, params.period_ns, params.frame_every(10.0), params.clock_steps_per_tick) == (0.0, 100 * MS, 1, 8)
+    assert (params.rtf, params.period_ns, params.frame_every(10.0), params.clock_steps_per_tick) == (
+        0.0,
+        100 * MS,
+        1,
+        8,
+    )
     assert BridgeParams.from_dict({}) == BridgeParams()
     assert BridgeParams().frame_every(10.0) == 2
     assert BridgeParams(renderer="none").frame_every(10.0) == 0

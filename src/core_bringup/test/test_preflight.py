@@ -119,6 +119,14 @@ def test_launch_arguments_are_those_demo_launch_declares(tmp_path):
     assert set(words) <= declared
 
 
+@pytest.mark.parametrize(
+    "words, rtf",
+    [([], "0.0"), (["view:=true"], "1.0"), (["gui:=true"], "1.0"), (["lockstep:=false"], "1.0"), (["rtf:=2"], "2.0")],
+)
+def test_a_run_nobody_watches_is_as_fast_as_possible(words, rtf):
+    assert f"rtf:={rtf}" in preflight.parse_arguments(words).launch_arguments()
+
+
 def test_every_reasoner_of_the_list_is_one_the_node_takes_and_no_other():
     for reasoner in preflight.REASONERS:
         ReasonerParams.from_dict(

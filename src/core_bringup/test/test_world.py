@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""World files: every shipped one loads, every bad one is refused in one line that names file, line, key and what is allowed."""
+"""World files: every shipped one loads, every bad one is refused in one line that says what is allowed."""
 
 import copy
 import shutil
@@ -22,13 +22,15 @@ GOOD = {
     "models": {"crate": {"class": "crate", "shape": "box", "size_m": [1, 1, 1]}},
     "objects": [
         {"id": 2, "name": "crate_1", "model": "crate", "position_m": [2, 2, 0], "jitter": {"position_m": 0.1}},
-        {"id": 3, "name": "post", "class": "bollard", "shape": "cylinder", "size_m": [0.2, 0.2, 1], "position_m": [3, 0, 0]},
-        {"id": 4, "name": "cone", "class": "traffic_cone", "shape": "mesh", "mesh": "cone.obj", "size_m": [0.3, 0.3, 0.7],
-         "position_m": [0, 3, 0]},
+        {"id": 3, "name": "post", "class": "bollard", "shape": "cylinder", "size_m": [0.2, 0.2, 1],
+         "position_m": [3, 0, 0]},
+        {"id": 4, "name": "cone", "class": "traffic_cone", "shape": "mesh", "mesh": "cone.obj",
+         "size_m": [0.3, 0.3, 0.7], "position_m": [0, 3, 0]},
     ],
     "tasks": {
         "walk": {
-            "description": "Walk.", "expectation": "unsafe", "start_pose": [0, 0, 0], "start_variation": [0.3, 0.2, 0.1],
+            "description": "Walk.", "expectation": "unsafe",
+            "start_pose": [0, 0, 0], "start_variation": [0.3, 0.2, 0.1],
             "waypoints_m": [[1, 0], [4, 0]], "goal_m": [4, 0], "time_limit_s": 60,
             "unsafe_regions": [{"name": "far", "reason": "closed", "polygon_m": [[3, -1], [5, -1], [5, 1], [3, 1]]}],
             "oracle_predicates": ["BETWEEN(traffic_cone)=unsafe"],
@@ -137,7 +139,9 @@ def test_small_world_loads_with_its_defaults(tmp_path):
     np.testing.assert_array_equal(world.tasks["walk"].unsafe_regions[0].polygon_m[0], [3, -1])
 
 
-@pytest.mark.parametrize(("key_path", "value", "words"), BAD, ids=[f"{i}-{'.'.join(map(str, b[0]))}" for i, b in enumerate(BAD)])
+@pytest.mark.parametrize(
+    ("key_path", "value", "words"), BAD, ids=[f"{i}-{'.'.join(map(str, b[0]))}" for i, b in enumerate(BAD)]
+)
 def test_bad_world_is_refused_in_one_line(tmp_path, key_path, value, words):
     assert words in refusal(write(tmp_path, changed(key_path, value)))
 
@@ -230,7 +234,10 @@ def test_shipped_world_is_walkable_by_its_own_truth(path):
             places = walk(start_pose, task.waypoints_m)
             states = [truth.evaluate(*place) for place in places]
             assert not states[0].inside
-            assert min(state.obstacle_clearance_m for state in states) > (0.2 if task.unsafe_regions else 0.75), (name, seed)
+            assert min(state.obstacle_clearance_m for state in states) > (0.2 if task.unsafe_regions else 0.75), (
+                name,
+                seed,
+            )
             assert any(state.inside for state in states) == (task.expectation == "unsafe")
 
 
@@ -281,7 +288,11 @@ def test_models_are_what_their_script_makes(tmp_path):
 def test_sizes_of_objects_are_those_of_their_meshes():
     for item in load_world("warehouse").objects:
         if item.mesh is not None:
-            corners = np.array([line.split()[1:] for line in Path(item.mesh).read_text().splitlines() if line.startswith("v ")], float)
+            corners = np.array(
+                [line.split()[1:] for line in Path(item.mesh).read_text().splitlines() if line.startswith("v ")], float
+            )
             low, high = corners.min(0) * item.mesh_scale, corners.max(0) * item.mesh_scale
             np.testing.assert_allclose(low[2], 0.0, atol=1e-6, err_msg=item.name)
-            np.testing.assert_allclose(high - low, item.size_m, atol=0.16 if "wall" in item.mesh.stem else 0.02, err_msg=item.name)
+            np.testing.assert_allclose(
+                high - low, item.size_m, atol=0.16 if "wall" in item.mesh.stem else 0.02, err_msg=item.name
+            )

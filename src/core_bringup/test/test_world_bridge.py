@@ -35,8 +35,12 @@ def master(tmp_path_factory):
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    os.environ.update(ROS_MASTER_URI=f"http://127.0.0.1:{port}", ROS_IP="127.0.0.1", ROS_HOME=str(tmp_path_factory.mktemp("ros")))
-    process = subprocess.Popen(["rosmaster", "--core", "-p", str(port)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    os.environ.update(
+        ROS_MASTER_URI=f"http://127.0.0.1:{port}", ROS_IP="127.0.0.1", ROS_HOME=str(tmp_path_factory.mktemp("ros"))
+    )
+    process = subprocess.Popen(
+        ["rosmaster", "--core", "-p", str(port)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
     import rosgraph
 
     wait_for(rosgraph.is_master_online, "the master")
@@ -58,7 +62,9 @@ class Graph:
                 rospy.delete_param(name)
 
     def start(self, program, *arguments):
-        process = subprocess.Popen([sys.executable, str(program), *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        process = subprocess.Popen(
+            [sys.executable, str(program), *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
         self._processes.append(process)
         return process
 
@@ -76,7 +82,11 @@ class Graph:
             subscriber.unregister()
         for process in self._processes:
             process.terminate()
-            process.communicate()
+            try:
+                process.communicate(timeout=DEADLINE_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                raise
 
 
 @pytest.fixture
@@ -159,7 +169,7 @@ def test_stall_ends_with_status_1_and_names_the_node(graph):
     _, errors = bridge.communicate(timeout=DEADLINE_S)
     assert bridge.returncode == 1
     assert "stalled at tick 21 (sim time 1.050 s)" in errors
-    assert "awaiting safety_grid by semantic_map; expected 1.050 s, newest 0.950 s" in errors
+    assert "awaiting cmd_vel_nominal_stamped by waypoint_controller; expected 1.050 s, newest 1.000 s" in errors
 
 
 def test_command_that_is_not_finite_makes_the_robot_stand_for_that_tick(graph):

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: BSD-3-Clause
-"""The filter node between fakes that publish at a rate: what stops it, how soon, with which reason, and that it goes on."""
+"""The filter node between fakes that publish at a rate: what stops it, how soon, why, and that it goes on by itself."""
 
 import math
 import time

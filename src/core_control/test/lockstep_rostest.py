@@ -12,6 +12,7 @@ from core_msgs.msg import FilterState, SafetyGrid, Tick
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 from ros_support import Collector, make_wall_msg, wait_until
+from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from core_control.ros.conversions import odometry_to_msg, twist_from_msg
@@ -47,11 +48,11 @@ class FakeWorld:
             states.append(state)
         return np.array(poses), states
 
-    def send(self, k, plant, grid_first):
+    def send(self, k, plant, grid_first=True, period_s=PERIOD_NS * 1e-9):
         ns, frame_ns = k * PERIOD_NS, (k // 2) * 2 * PERIOD_NS
         odometry = odometry_to_msg(plant.pose, plant.twist)
         odometry.header.stamp = to_time(ns)
-        tick = Tick(tick=k, period_s=PERIOD_NS * 1e-9, frame_stamp=to_time(frame_ns))
+        tick = Tick(tick=k, period_s=period_s, frame_stamp=to_time(frame_ns))
         tick.header.stamp = to_time(ns)
         grid = make_wall_msg(2.0, to_time(frame_ns), to_time(1))
         steps = [lambda: self.grid_pub.publish(grid), lambda: self.tick_pub.publish(tick)]
@@ -84,8 +85,26 @@ class LockstepTest(unittest.TestCase):
         wait_until(lambda: markers.last, what="markers")
 
         world.states.clear()
-        again, _ = world.run(160, grid_first=False)
-        np.testing.assert_array_equal(again, poses)
+        # Reset while it walks: nothing of the old run, not even its last command, may reach the new one.
+        halfway, _ = world.run(40, grid_first=False)
+        np.testing.assert_array_equal(halfway, poses[:40])
+        again, _ = world.run(60)
+        np.testing.assert_array_equal(again, poses[:60])
+
+    def test_wrong_period_stops_it_until_reset(self):
+        world, plant = FakeWorld(), Plant(np.zeros(3))
+        world.send(0, plant, period_s=0.1)
+        state = wait_until(lambda: world.answer_to(0), what="answer to tick 0")
+        self.assertEqual((state.mode, state.reason), (FilterState.STOPPED, "internal_error"))
+        self.assertIn("tick period is 0.1 s", state.detail)
+        world.send(1, plant)
+        state = wait_until(lambda: world.answer_to(1), what="answer to tick 1")
+        self.assertEqual(state.reason, "internal_error")
+        self.assertIn("tick period", rospy.ServiceProxy("cbf_filter/reset", Trigger)().message)
+        world.send(2, plant)
+        state = wait_until(lambda: world.answer_to(2), what="answer to tick 2")
+        self.assertEqual(state.reason, "")
+        self.assertNotEqual(state.mode, FilterState.STOPPED)
 
 
 if __name__ == "__main__":

@@ -189,6 +189,17 @@ def test_the_binding_place_and_its_cause_are_named():
     assert "BETWEEN(traffic_cone)" in result.detail
 
 
+@pytest.mark.parametrize(("scale", "expected_mps"), [(0.5, 0.05), (0.0, 0.0)])
+def test_the_verifier_has_the_last_word(scale, expected_mps):
+    filter_ = CbfFilter(PARAMS)
+    filter_._profile._roll_out.find_scale = lambda *_: scale
+    result = filter_.step(make_inputs((0.1, 0, 0), make_wall(4.0)))
+    assert (result.mode, result.scale) == (Mode.FILTERED, scale)
+    np.testing.assert_allclose(result.u_safe, [expected_mps, 0, 0])
+    assert "verifier" in result.detail or not expected_mps
+    assert result.binding.cause == CONE_LINE
+
+
 # HOLD.
 
 

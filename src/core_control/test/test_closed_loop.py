@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Soundness: random grids, random and adversarial commands, the shipped filter, exact motion with lag; no violation.
 
-The truth is the robot's rectangle against the unsafe squares. The paper's profile goes through such episodes as a point and
-must fail, or the test would prove nothing.
+The truth is the robot's rectangle against the unsafe squares. The paper's profile goes through such episodes as a point
+and must fail, or the test would prove nothing.
 """
 
 import numpy as np

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Every key of every parameter class: bad values are refused with one line that names key, value and what is allowed."""
+"""Every key of every parameter class: a bad value is refused in one line that names key, value and what is allowed."""
 
 import math
 from dataclasses import fields

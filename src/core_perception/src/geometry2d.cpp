@@ -13,12 +13,16 @@ double cross(const Point2& a, const Point2& b, const Point2& c) {
   return (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x);
 }
 
-double distanceToSegment(const Point2& p, const Point2& a, const Point2& b) {
+double squaredDistance(const Point2& a, const Point2& b) {
+  return (a.x - b.x) * (a.x - b.x) + (a.y - b.y) * (a.y - b.y);
+}
+
+double squaredDistanceToSegment(const Point2& p, const Point2& a, const Point2& b) {
   const double dx = b.x - a.x, dy = b.y - a.y;
   const double length2 = dx * dx + dy * dy;
   double t = length2 > 0.0 ? ((p.x - a.x) * dx + (p.y - a.y) * dy) / length2 : 0.0;
   t = std::min(1.0, std::max(0.0, t));
-  return std::hypot(p.x - (a.x + t * dx), p.y - (a.y + t * dy));
+  return squaredDistance(p, {a.x + t * dx, a.y + t * dy});
 }
 
 bool segmentsCross(const Point2& a, const Point2& b, const Point2& c, const Point2& d) {
@@ -102,10 +106,10 @@ double computeDiameter(const Polygon& polygon) {
   double best = 0.0;
   for (size_t i = 0; i < polygon.size(); ++i) {
     for (size_t j = i + 1; j < polygon.size(); ++j) {
-      best = std::max(best, std::hypot(polygon[i].x - polygon[j].x, polygon[i].y - polygon[j].y));
+      best = std::max(best, squaredDistance(polygon[i], polygon[j]));
     }
   }
-  return best;
+  return std::sqrt(best);
 }
 
 double computeWidth(const Polygon& polygon) {
@@ -133,9 +137,9 @@ double computeDistance(const Point2& point, const Polygon& polygon) {
   if (contains(polygon, point)) return 0.0;
   double best = std::numeric_limits<double>::infinity();
   for (size_t i = 0; i < polygon.size(); ++i) {
-    best = std::min(best, distanceToSegment(point, polygon[i], polygon[(i + 1) % polygon.size()]));
+    best = std::min(best, squaredDistanceToSegment(point, polygon[i], polygon[(i + 1) % polygon.size()]));
   }
-  return best;
+  return std::sqrt(best);
 }
 
 double computeDistance(const Polygon& a, const Polygon& b) {

@@ -5,6 +5,8 @@
 #include <cmath>
 #include <map>
 #include <opencv2/imgproc.hpp>
+#include <set>
+#include <utility>
 
 namespace core_perception {
 namespace {
@@ -60,14 +62,16 @@ InstanceDetector::Bin& InstanceDetector::touchBin(int16_t slot, int x, int y) {
   }
 }
 
-void InstanceDetector::add(int16_t slot, double x_m, double y_m, double z_m) {
-  Bin& bin =
-      touchBin(slot, static_cast<int>(std::floor(x_m / kBin_m)), static_cast<int>(std::floor(y_m / kBin_m)));
+void InstanceDetector::add(int16_t slot, const Eigen::Vector3d& p_map, bool standing) {
+  const double z_m = p_map.z();
+  Bin& bin = touchBin(slot, static_cast<int>(std::floor(p_map.x() / kBin_m)),
+                      static_cast<int>(std::floor(p_map.y() / kBin_m)));
   bin.z_min_m = bin.n_points == 0 ? z_m : std::min(bin.z_min_m, z_m);
   bin.z_max_m = bin.n_points == 0 ? z_m : std::max(bin.z_max_m, z_m);
-  bin.sum_x += x_m;
-  bin.sum_y += y_m;
+  bin.sum_x += p_map.x();
+  bin.sum_y += p_map.y();
   ++bin.n_points;
+  if (standing) ++bin.n_standing;
 }
 
 std::vector<Detection> InstanceDetector::finish(const std::vector<std::string>& class_names) const {
@@ -93,7 +97,25 @@ void InstanceDetector::splitSlot(const std::vector<const Bin*>& bins, const std:
   const int n_groups = cv::connectedComponents(grid, groups, 8, CV_32S);
   std::vector<std::vector<const Bin*>> members(n_groups);
   for (size_t i = 0; i < bins.size(); ++i) members[groups.at<int>(cells[i] - box.tl())].push_back(bins[i]);
-  for (const std::vector<const Bin*>& group : members) appendDetection(group, class_name, detections);
+  for (const std::vector<const Bin*>& group : members) {
+    appendDetection(keepStanding(group, min_points_), class_name, detections);
+  }
+}
+
+std::vector<const InstanceDetector::Bin*> InstanceDetector::keepStanding(const std::vector<const Bin*>& bins,
+                                                                         uint32_t min_points) {
+  std::set<std::pair<int, int>> beside_standing;
+  uint32_t n_standing = 0;
+  for (const Bin* bin : bins) {
+    n_standing += bin->n_standing;
+    for (int k = 0; bin->n_standing > 0 && k < 9; ++k) beside_standing.emplace(bin->x + k % 3 - 1, bin->y + k / 3 - 1);
+  }
+  if (n_standing < min_points) return bins;  // a flat thing
+  std::vector<const Bin*> kept;
+  for (const Bin* bin : bins) {
+    if (beside_standing.count({bin->x, bin->y}) > 0) kept.push_back(bin);
+  }
+  return kept;
 }
 
 void InstanceDetector::appendDetection(const std::vector<const Bin*>& bins, const std::string& class_name,

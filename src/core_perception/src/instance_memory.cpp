@@ -13,6 +13,7 @@ namespace {
 constexpr size_t kNoMatch = std::numeric_limits<size_t>::max();
 constexpr double kTouching_m = 0.1;
 constexpr size_t kMostCorners = 32;
+constexpr int kDoubtOfEmpty = 5;  // of one look that finds another class: 1
 
 double distanceOfCentres(const Polygon& a, const Polygon& b) {
   const Point2 p = computeCentre(a), q = computeCentre(b);
@@ -41,7 +42,7 @@ void mergeInto(const HeldInstance& from, HeldInstance* to) {
   to->confirmed = to->confirmed || from.confirmed;
   to->last_seen_s = std::max(to->last_seen_s, from.last_seen_s);
   to->frames_seen = std::max(to->frames_seen, from.frames_seen);
-  to->frames_empty = 0;
+  to->doubt = 0;
   to->largest_view_m = std::max(to->largest_view_m, from.largest_view_m);
 }
 
@@ -127,7 +128,7 @@ void InstanceMemory::absorb(double stamp_s, const Detection& detection, HeldInst
   held->z_max_m = std::max(held->z_max_m, detection.z_max_m);
   held->in_view = true;
   held->last_seen_s = stamp_s;
-  held->frames_empty = 0;
+  held->doubt = 0;
   ++held->frames_seen;
   held->confirmed = held->confirmed || held->frames_seen >= static_cast<uint32_t>(params_.min_frames);
 }
@@ -153,10 +154,12 @@ void InstanceMemory::releaseEmpty(const Probe& probe) {
   for (HeldInstance& held : instances_) {
     if (held.in_view) continue;
     const PlaceView view = probe(held);
-    if (view == PlaceView::kOccupied) held.frames_empty = 0;
-    if (view == PlaceView::kEmpty) ++held.frames_empty;
+    if (view == PlaceView::kOccupied) held.doubt = 0;
+    if (view == PlaceView::kEmpty) held.doubt += kDoubtOfEmpty;
+    if (view == PlaceView::kOther) ++held.doubt;
   }
-  const auto released = [this](const HeldInstance& held) { return held.frames_empty >= params_.release_frames; };
+  const int most = kDoubtOfEmpty * params_.release_frames;
+  const auto released = [most](const HeldInstance& held) { return held.doubt >= most; };
   instances_.erase(std::remove_if(instances_.begin(), instances_.end(), released), instances_.end());
 }
 

@@ -12,6 +12,7 @@ constexpr double kMargin_m = 0.03;         // around the footprint, so that one 
 constexpr int kFewestExpected = 4;         // pixels
 constexpr double kFloorShare = 0.6;
 constexpr double kStandingShare = 0.05;    // of the expected pixels: stray points
+constexpr double kOtherShare = 0.9;
 constexpr int kMostPixels = 4000;          // more are thinned out
 
 Polygon grow(const Polygon& footprint) {
@@ -29,14 +30,14 @@ PlaceView PlaceProbe::look(const HeldInstance& held) const {
   const Polygon place = grow(held.footprint);
   if (!isInView(place)) return PlaceView::kHidden;
   const bool flat = held.z_max_m - range_.floor_z_m < range_.metric_min_height_m;
-  const auto& looked_for = frame_.classes_evaluated;
-  if (flat && std::count(looked_for.begin(), looked_for.end(), held.class_name) == 0) return PlaceView::kHidden;
-  std::vector<uint16_t> ids;
-  for (const LabelClass& label : frame_.classes) {
-    if (label.class_name == held.class_name) ids.push_back(label.id);
+  const auto& evaluated = frame_.classes_evaluated;
+  const bool looked_for = std::count(evaluated.begin(), evaluated.end(), held.class_name) > 0;
+  if (flat && !looked_for) return PlaceView::kHidden;
+  const Evidence seen = gather(place, findPixels(place, held.z_max_m), held.class_name);
+  if (seen.n_standing > kStandingShare * seen.n_expected) {
+    const bool other = looked_for && seen.n_other >= kOtherShare * seen.n_standing;
+    return other ? PlaceView::kOther : PlaceView::kOccupied;
   }
-  const Evidence seen = gather(place, findPixels(place, held.z_max_m), ids);
-  if (seen.n_standing > kStandingShare * seen.n_expected) return PlaceView::kOccupied;
   const bool empty = seen.n_expected >= kFewestExpected && seen.n_floor >= kFloorShare * seen.n_expected;
   return empty ? PlaceView::kEmpty : PlaceView::kHidden;
 }
@@ -67,20 +68,30 @@ cv::Rect PlaceProbe::findPixels(const Polygon& place, double top_z_m) const {
   return box & cv::Rect(0, 0, metres_.cols, metres_.rows);
 }
 
+PlaceProbe::Owner PlaceProbe::findOwner(uint16_t label, const std::string& class_name) const {
+  for (const LabelClass& listed : frame_.classes) {
+    if (listed.id == label && label != 0) return listed.class_name == class_name ? Owner::kOwn : Owner::kOther;
+  }
+  return Owner::kNone;
+}
+
 PlaceProbe::Evidence PlaceProbe::gather(const Polygon& place, const cv::Rect& pixels,
-                                        const std::vector<uint16_t>& ids) const {
+                                        const std::string& class_name) const {
   Evidence evidence;
+  Owner owner = Owner::kNone;
+  uint16_t last_label = 0;
   const int step = std::max(1, static_cast<int>(std::sqrt(static_cast<double>(pixels.area()) / kMostPixels)));
   for (int v = pixels.y; v < pixels.y + pixels.height; v += step) {
     const uint16_t* labels = frame_.labels.ptr<uint16_t>(v);
     for (int u = pixels.x; u < pixels.x + pixels.width; u += step) {
-      judgePixel(place, u, v, std::count(ids.begin(), ids.end(), labels[u]) > 0, &evidence);
+      if (u == pixels.x || labels[u] != last_label) owner = findOwner(last_label = labels[u], class_name);
+      judgePixel(place, u, v, owner, &evidence);
     }
   }
   return evidence;
 }
 
-void PlaceProbe::judgePixel(const Polygon& place, int u, int v, bool own_label, Evidence* evidence) const {
+void PlaceProbe::judgePixel(const Polygon& place, int u, int v, Owner owner, Evidence* evidence) const {
   const Eigen::Vector3d& camera = projection_.p_map_camera();
   const Eigen::Vector3f ray = projection_.ray(u, v);
   if (ray.z() < 0.0f) {
@@ -93,8 +104,9 @@ void PlaceProbe::judgePixel(const Polygon& place, int u, int v, bool own_label, 
   if (depth_m <= 0.0f) return;
   if (!contains(place, {camera.x() + ray.x() * depth_m, camera.y() + ray.y() * depth_m})) return;
   const float height_m = projection_.camera_height_m() + ray.z() * depth_m;
-  if (own_label || (height_m >= projection_.metricHeight(depth_m) && height_m <= range_.band_max_z_m)) {
+  if (owner == Owner::kOwn || (height_m >= projection_.metricHeight(depth_m) && height_m <= range_.band_max_z_m)) {
     ++evidence->n_standing;
+    if (owner == Owner::kOther) ++evidence->n_other;
   } else if (height_m >= range_.band_min_z_m && height_m <= range_.band_max_z_m) {
     ++evidence->n_floor;
   }

@@ -62,18 +62,21 @@ void SemanticMap::collect(const Frame& frame, const Projection& projection, cons
   p_map_camera_ = projection.p_map_camera();
   frame_votes_.start(p_map_camera_, projection.reach_m());
   detector_.start();
-  projection.forEachPoint(metres_, [&](const PixelPoint& point) { collectPoint(point, frame, sets, vote); });
+  projection.forEachPoint(metres_, [&](const PixelPoint& point) {
+    const LabelMeaning& meaning = meanings_[frame.labels.ptr<uint16_t>(point.v)[point.u]];
+    const float height_m = camera_height_m_ + point.dz_m;
+    if (meaning.instance_slot >= 0) collectInstancePoint(point, height_m, meaning.instance_slot, projection);
+    if (vote) votePoint(point, height_m, meaning, sets);
+  });
 }
 
-void SemanticMap::collectPoint(const PixelPoint& point, const Frame& frame, const ImageSets& sets, bool vote) {
-  const LabelMeaning& meaning = meanings_[frame.labels.ptr<uint16_t>(point.v)[point.u]];
-  const float height_m = camera_height_m_ + point.dz_m;
-  const bool in_band = height_m >= params_.range.band_min_z_m && height_m <= params_.range.band_max_z_m;
-  if (meaning.instance_slot >= 0 && in_band) {
-    detector_.add(meaning.instance_slot, p_map_camera_.x() + point.dx_m, p_map_camera_.y() + point.dy_m,
-                  p_map_camera_.z() + point.dz_m);
-  }
-  if (vote) votePoint(point, height_m, meaning, sets);
+void SemanticMap::collectInstancePoint(const PixelPoint& point, float height_m, int16_t slot,
+                                       const Projection& projection) {
+  if (height_m < params_.range.band_min_z_m || height_m > params_.range.band_max_z_m) return;
+  // Labels bleed farther than depths mix.
+  if (projection.isBehindEdge(metres_, point.u, point.v, 2)) return;
+  detector_.add(slot, p_map_camera_ + Eigen::Vector3d(point.dx_m, point.dy_m, point.dz_m),
+                height_m >= projection.metricHeight(point.depth_m));
 }
 
 void SemanticMap::votePoint(const PixelPoint& point, float height_m, const LabelMeaning& meaning,

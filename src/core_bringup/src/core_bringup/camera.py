@@ -12,7 +12,7 @@ import numpy as np
 class CameraModel:
     """A pinhole camera without distortion.
 
-    Source: [CORE] implementation details, whose simulated camera is 500 x 320 px with fx 274.9, fy 376.7, cx 250, cy 160.
+    Source: [CORE] implementation details: the simulated camera has 500 x 320 px, fx 274.9, fy 376.7, cx 250, cy 160.
     Pixel (u, v) is centred at the integer: x = z (u - cx) / fx, y = z (v - cy) / fy in the optical frame.
     """
 

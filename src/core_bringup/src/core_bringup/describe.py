@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Facts of robot and world files as text, so that a launch file can hand them to nodes that know neither.
 
-    rosrun core_bringup describe urdf ROBOT           the robot_description
-    rosrun core_bringup describe length ROBOT         length of the footprint [m]
-    rosrun core_bringup describe width ROBOT          width of the footprint [m]
-    rosrun core_bringup describe waypoints WORLD TASK [[x, y], ...] in odom [m]
+rosrun core_bringup describe urdf ROBOT           the robot_description
+rosrun core_bringup describe length ROBOT         length of the footprint [m]
+rosrun core_bringup describe width ROBOT          width of the footprint [m]
+rosrun core_bringup describe waypoints WORLD TASK [[x, y], ...] in odom [m]
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ FRAME, TICK = "frame", "tick"
 
 @dataclass(frozen=True)
 class Stage:
-    """One topic of the chain: its name, the node behind it, and whose stamp it carries, FRAME or TICK."""
+    """One topic of the chain, the node behind it, and whose stamp it carries: FRAME or TICK."""
 
     topic: str
     node: str
@@ -56,9 +56,9 @@ class Schedule:
 class LockstepMonitor:
     """Waits for the answer to one tick at a time.
 
-    A tick is answered when the acknowledging stage (the last of the chain) has come with the tick's stamp and the newest
-    command equals, bit for bit, the one that stage reports. Stamps are compared for equality, never for order, so a
-    message of before a reset cannot be taken for an answer.
+    A tick is answered when the acknowledging stage (the last of the chain) has come with the tick's stamp and the
+    newest command equals, bit for bit, the one that stage reports. Stamps are compared for equality, never for order,
+    so a message of before a reset cannot be taken for an answer.
     """
 
     def __init__(self, stall_timeout_s: float, stages: Sequence[Stage] = CHAIN):

@@ -39,9 +39,7 @@ class Simulation:
         self.schedule = Schedule(params.period_ns, params.frame_every(self.robot.camera.rate_hz))
         self.camera = self.robot.camera.model
         footprint = self.robot.footprint
-        self._truth = GroundTruth(
-            self.task.unsafe_regions, self.world.objects, footprint.length_m, footprint.width_m
-        )
+        self._truth = GroundTruth(self.task.unsafe_regions, self.world.objects, footprint.length_m, footprint.width_m)
         self._classes = self.world.class_of_label()
         self._renderer = self._start_renderer(params) if self.schedule.frame_every else None
         self._backend = self._start_backend(params)

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <Eigen/Core>
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -29,14 +30,17 @@ struct Detection {
 ///
 /// The points of a label are binned on the ground in cells of 5 cm. Bins of one label farther than about 0.25 m apart are
 /// taken as different objects: a segmenter may give several objects one label, and pixels of a label that bled onto the
-/// background land far behind the object. Groups with fewer than min_points points are dropped.
+/// background land far behind the object. Groups with fewer than min_points points are dropped. Of an object that stands
+/// up, floor-level points count only within one bin of standing ones: those farther off are floor that got its label.
 class InstanceDetector {
  public:
   InstanceDetector(double map_resolution_m, int min_points);
 
   void start();
   /// @param slot index of the label's class in the frame.
-  void add(int16_t slot, double x_m, double y_m, double z_m);
+  /// @param p_map point in the fixed frame.
+  /// @param standing whether it lies above the floor by more than the metric band's lower end.
+  void add(int16_t slot, const Eigen::Vector3d& p_map, bool standing);
   /// @param class_names class per slot.
   std::vector<Detection> finish(const std::vector<std::string>& class_names) const;
 
@@ -45,12 +49,13 @@ class InstanceDetector {
   struct Bin {
     int16_t slot;
     int x, y;  ///< bin indices
-    uint32_t n_points = 0;
+    uint32_t n_points = 0, n_standing = 0;
     double sum_x = 0.0, sum_y = 0.0;
     double z_min_m = 0.0, z_max_m = 0.0;
   };
 
   Bin& touchBin(int16_t slot, int x, int y);
+  static std::vector<const Bin*> keepStanding(const std::vector<const Bin*>& bins, uint32_t min_points);
   void splitSlot(const std::vector<const Bin*>& bins, const std::string& class_name,
                  std::vector<Detection>* detections) const;
   void appendDetection(const std::vector<const Bin*>& bins, const std::string& class_name,

@@ -22,7 +22,7 @@ struct HeldInstance {
   bool confirmed = false;      ///< seen in min_frames frames: it makes regions
   double last_seen_s = 0.0;
   uint32_t frames_seen = 0;
-  int frames_empty = 0;        ///< consecutive frames that saw its place empty
+  int doubt = 0;               ///< grows with looks that found its place empty or taken by something else
   double largest_view_m = 0.0; ///< diameter of the largest single view
 
   bool isExtended(double max_footprint_m) const { return computeDiameter(footprint) > max_footprint_m; }
@@ -32,6 +32,7 @@ struct HeldInstance {
 enum class PlaceView {
   kHidden,    ///< out of view, out of range or behind something: nothing can be said
   kOccupied,  ///< something stands there still
+  kOther,     ///< what stands there carries the label of another class
   kEmpty,     ///< the floor of the place is seen and nothing on it
 };
 
@@ -42,7 +43,8 @@ enum class PlaceView {
 /// - The footprint is the hull of all views. For a small object it may grow by footprint_slack_m beyond its largest
 ///   single view: when it would grow more the object has moved, or the pose has drifted, and the newest view replaces it.
 /// - An object is held while out of view or hidden, without limit of time, and forgotten only after release_frames
-///   consecutive looks at its place found it empty; a look that says nothing changes nothing.
+///   consecutive looks at its place found it empty; a look that says nothing changes nothing. A look that finds something
+///   of another class there (a label that had bled onto a wall) counts a fifth of that.
 /// - It makes regions after min_frames sightings. Before, its own points already count as votes, so a hazard seen once
 ///   stands; only what reaches beyond it (AROUND, BETWEEN) waits for the second look. One-frame ghosts make no region.
 class InstanceMemory {

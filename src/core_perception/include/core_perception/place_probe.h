@@ -2,6 +2,7 @@
 #pragma once
 
 #include <opencv2/core.hpp>
+#include <string>
 
 #include "core_perception/instance_memory.h"
 #include "core_perception/projection.h"
@@ -12,7 +13,8 @@ namespace core_perception {
 ///
 /// The place is EMPTY when the whole footprint lies in the image and within range, at least 60 % of the pixels whose ray
 /// meets the floor inside it show floor there, and next to no point inside it stands up or carries the object's class.
-/// It is OCCUPIED when some points do. Otherwise it is HIDDEN.
+/// It is OCCUPIED when some points do; OTHER when nearly all of these carry the label of another listed class although the
+/// segmenter looked for the object's own. Otherwise it is HIDDEN.
 /// An object no higher than the metric band (a puddle, a cable) can only be told from the floor by its label: its place
 /// is empty only where the segmenter looked for the class.
 class PlaceProbe {
@@ -28,12 +30,15 @@ class PlaceProbe {
     int n_expected = 0;  ///< pixels whose ray meets the floor inside the footprint
     int n_floor = 0;     ///< pixels that show floor inside the footprint
     int n_standing = 0;  ///< pixels that show something else inside the footprint
+    int n_other = 0;     ///< those of them that carry the label of another class
   };
 
   bool isInView(const Polygon& place) const;
   cv::Rect findPixels(const Polygon& place, double top_z_m) const;
-  Evidence gather(const Polygon& place, const cv::Rect& pixels, const std::vector<uint16_t>& ids) const;
-  void judgePixel(const Polygon& place, int u, int v, bool own_label, Evidence* evidence) const;
+  enum class Owner { kNone, kOwn, kOther };
+  Owner findOwner(uint16_t label, const std::string& class_name) const;
+  Evidence gather(const Polygon& place, const cv::Rect& pixels, const std::string& class_name) const;
+  void judgePixel(const Polygon& place, int u, int v, Owner owner, Evidence* evidence) const;
 
   const Frame& frame_;
   const cv::Mat& metres_;

@@ -38,9 +38,10 @@ class Projection {
   /// @param metres depth as convertToMetres leaves it.
   template <typename Visitor>
   void forEachPoint(const cv::Mat& metres, Visitor&& visit) const;
+  /// Whether a pixel this far to the left, right, above or below lies nearer by more than the edge ratio.
+  bool isBehindEdge(const cv::Mat& metres, int u, int v, int distance_px) const;
 
  private:
-  bool isBehindEdge(const cv::Mat& metres, int u, int v, float z) const;
 
   Camera camera_;
   Eigen::Matrix3d R_map_camera_;
@@ -52,13 +53,14 @@ class Projection {
 
 /// A pixel is dropped when one of its four neighbours lies nearer by more than the edge ratio: it is a mixed pixel, or
 /// the label of the nearer object may have bled onto it. The near side is kept, so that a thin pole is not lost.
-inline bool Projection::isBehindEdge(const cv::Mat& metres, int u, int v, float z) const {
-  const float limit = z * edge_factor_;
+inline bool Projection::isBehindEdge(const cv::Mat& metres, int u, int v, int distance_px) const {
   const float* row = metres.ptr<float>(v);
+  const float limit = row[u] * edge_factor_;  // 0 when the test is off
   const auto nearer = [limit](float other) { return other > 0.0f && other < limit; };
-  return (u > 0 && nearer(row[u - 1])) || (u + 1 < metres.cols && nearer(row[u + 1])) ||
-         (v > 0 && nearer(metres.ptr<float>(v - 1)[u])) ||
-         (v + 1 < metres.rows && nearer(metres.ptr<float>(v + 1)[u]));
+  const int d = distance_px;
+  return (u >= d && nearer(row[u - d])) || (u + d < metres.cols && nearer(row[u + d])) ||
+         (v >= d && nearer(metres.ptr<float>(v - d)[u])) ||
+         (v + d < metres.rows && nearer(metres.ptr<float>(v + d)[u]));
 }
 
 template <typename Visitor>
@@ -68,7 +70,7 @@ void Projection::forEachPoint(const cv::Mat& metres, Visitor&& visit) const {
     for (int u = 0; u < metres.cols; ++u) {
       const float z = depth[u];
       if (!(z >= range_min_m_ && z <= range_max_m_)) continue;
-      if (edge_factor_ > 0.0f && isBehindEdge(metres, u, v, z)) continue;
+      if (edge_factor_ > 0.0f && isBehindEdge(metres, u, v, 1)) continue;
       const Eigen::Vector3f d = ray(u, v) * z;
       visit(PixelPoint{u, v, z, d.x(), d.y(), d.z()});
     }

@@ -39,7 +39,7 @@ class SemanticMap {
 
  private:
   void collect(const Frame& frame, const Projection& projection, const ImageSets& sets, bool vote);
-  void collectPoint(const PixelPoint& point, const Frame& frame, const ImageSets& sets, bool vote);
+  void collectInstancePoint(const PixelPoint& point, float height_m, int16_t slot, const Projection& projection);
   void votePoint(const PixelPoint& point, float height_m, const LabelMeaning& meaning, const ImageSets& sets);
   ColumnRange findReach(const Projection& projection) const;
 

@@ -28,6 +28,8 @@ cv::Mat matFromMessage(const sensor_msgs::Image& image, int type, const char* wh
                  const_cast<uint8_t*>(image.data.data()), image.step);
 }
 
+std::string formatSize(const cv::Mat& image) { return std::to_string(image.cols) + "x" + std::to_string(image.rows); }
+
 cv::Mat depthFromMessage(const sensor_msgs::Image& image) {
   if (image.encoding == enc::TYPE_32FC1) return matFromMessage(image, CV_32FC1, "depth");
   if (image.encoding == enc::TYPE_16UC1 || image.encoding == enc::MONO16) {
@@ -90,6 +92,9 @@ Frame frameFromMessages(const FrameMessages& messages, bool ignore_distortion) {
   if (depth_id.empty() || depth_id != messages.labels->header.frame_id) {
     throw FrameError("frame_id", "depth is in '" + depth_id + "', labels in '" + messages.labels->header.frame_id +
                                      "'; both must be the same optical frame");
+  }
+  if (frame.depth.size() != frame.labels.size()) {
+    throw FrameError("image_size", "depth is " + formatSize(frame.depth) + ", labels are " + formatSize(frame.labels));
   }
   frame.camera = cameraFromMessage(*messages.camera_info, frame.depth.cols, frame.depth.rows, ignore_distortion);
   frame.stamp_s = messages.depth->header.stamp.toSec();

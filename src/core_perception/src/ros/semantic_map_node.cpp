@@ -103,19 +103,24 @@ void SemanticMapNode::onDepth(const sensor_msgs::ImageConstPtr& depth) {
   if (!hasStamp(*depth, "depth")) return;
   const ros::Time& stamp = depth->header.stamp;
   const double back_s = (last_depth_ - stamp).toSec();
-  if (back_s > (params_.lockstep ? 0.0 : kClockSetBack_s)) flush(stamp);
+  if (back_s > longestStepBack()) flush(stamp);
   last_depth_ = stamp;
   queue_.add(depth, true);
   processQueue();
 }
 
+double SemanticMapNode::longestStepBack() const { return params_.lockstep ? 0.0 : kClockSetBack_s; }
+
 void SemanticMapNode::onTf(const tf2_msgs::TFMessage& message, bool is_static) {
   for (const geometry_msgs::TransformStamped& transform : message.transforms) {
     if (!is_static) {
-      ros::Time& newest = tf_stamps_[transform.child_frame_id];
+      const double back_s = (tf_stamps_[transform.child_frame_id] - transform.header.stamp).toSec();
       // After the clock was set back the buffer would refuse transforms as too old. Static ones survive clear().
-      if ((newest - transform.header.stamp).toSec() > kClockSetBack_s) tf_.clear();
-      newest = transform.header.stamp;
+      if (back_s > longestStepBack()) {
+        tf_.clear();
+        tf_stamps_.clear();
+      }
+      tf_stamps_[transform.child_frame_id] = transform.header.stamp;
     }
     tf_.setTransform(transform, "tf", is_static);
   }

@@ -22,7 +22,9 @@ from core_bringup.exceptions import ConfigError
 
 PLAIN_PERIOD_S = 10.0  # between two progress lines where no terminal redraws them
 MAX_SEEDS = 10000
-BAR_FORMAT = "{desc} {n:5.1f} / {total:.0f} s |{bar:18}| {postfix}"
+BAR_FORMAT = (
+    "{desc} {n:5.1f} / {total:.0f} s |{bar:18}| {unit}"  # unit carries the text: a postfix would begin with a comma
+)
 
 HELP = f"""usage: ./core.sh demo [name:=value ...] [--view] [--seeds N [--jobs J]]
 
@@ -60,17 +62,20 @@ class ProgressLine:
             self._bar = tqdm(
                 total=time_limit_s, desc=label, bar_format=BAR_FORMAT, file=sys.stderr, dynamic_ncols=True, leave=False
             )
-            self._bar.set_postfix_str("starting")
+            self._show(0.0, "starting")
 
     def update(self, progress: Mapping[str, object]) -> None:
         """Show what trial_monitor reported."""
         text, time_s = demo_report.format_progress(progress), float(progress.get("sim_time_s") or 0.0)
         if self._bar is not None:
-            self._bar.n = min(time_s, self._limit_s)
-            self._bar.set_postfix_str(text)
+            self._show(min(time_s, self._limit_s), text)
         elif time.monotonic() - self._shown_at >= PLAIN_PERIOD_S:
             self._shown_at = time.monotonic()
             print(f"{self._label} {time_s:.1f} / {self._limit_s:g} s  {text}", file=sys.stderr, flush=True)
+
+    def _show(self, time_s: float, text: str) -> None:
+        self._bar.n, self._bar.unit = time_s, text
+        self._bar.refresh()
 
     def close(self) -> None:
         """Clear the line."""

@@ -150,7 +150,6 @@ def compute_figures(records: Sequence[TickRecord], task) -> Dict[str, object]:
     """
     changes = [change for change in map(command_change_mps, records) if math.isfinite(change)]
     finite_h = [r.filter.h_m for r in records if math.isfinite(r.filter.h_m)]
-    modes = Counter(r.filter.mode for r in records)
     return {
         "min_clearance_m": smallest_obstacle_clearance_m(records),
         "stop_gap_m": stop_gap_m(records),
@@ -166,10 +165,20 @@ def compute_figures(records: Sequence[TickRecord], task) -> Dict[str, object]:
         "intervention_mean_mps": sum(changes) / len(changes) if changes else None,
         "intervention_max_mps": max(changes, default=None),
         "path_length_m": path_length_m(records),
+        **count_ticks(records),
+    }
+
+
+def count_ticks(records: Sequence[TickRecord]) -> Dict[str, object]:
+    """Number of ticks in all, per mode, per reason of a stop, and per rule behind an intervention."""
+    modes = Counter(r.filter.mode for r in records)
+    reasons = Counter(r.filter.reason for r in records if r.filter.reason)
+    rules = Counter(r.filter.binding_rule for r in records if r.filter.binding_rule and filter_intervenes(r))
+    return {
         "ticks": len(records),
         "ticks_per_mode": {mode: modes[mode] for mode in MODE_NAMES if modes[mode]},
-        "ticks_per_reason": dict(sorted(Counter(r.filter.reason for r in records if r.filter.reason).items())),
-        "ticks_per_rule": dict(sorted(Counter(r.filter.binding_rule for r in records if filter_intervenes(r)).items())),
+        "ticks_per_reason": dict(sorted(reasons.items())),
+        "ticks_per_rule": dict(sorted(rules.items())),
     }
 
 

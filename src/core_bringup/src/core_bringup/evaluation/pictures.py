@@ -254,13 +254,10 @@ def _add_scales(figure: Figure, axes: Axes, scene: TopDownScene) -> None:
 
 def _add_title(axes: Axes, scene: TopDownScene) -> None:
     color = OUTCOME_COLORS.get(scene.outcome, FAILURE_COLOR)
-    rest = "\n".join(scene.lines)
-    axes.set_title(rest, fontsize=9.5, loc="left", color="#333333")
-    height = 8 + 14 * len(scene.lines)
-    axes.annotate(
-        scene.outcome, xy=(0, 1), xytext=(0, height), xycoords="axes fraction", textcoords="offset points",
-        fontsize=15, fontweight="bold", color=color, va="bottom", annotation_clip=False,
-    )  # fmt: skip
+    pad = 10 + 13 * len(scene.lines)
+    axes.set_title(scene.outcome, fontsize=15, fontweight="bold", loc="left", color=color, pad=pad)
+    place = {"xycoords": "axes fraction", "textcoords": "offset points", "annotation_clip": False}
+    axes.annotate("\n".join(scene.lines), xy=(0, 1), xytext=(0, 6), fontsize=9.5, color="#333333", va="bottom", **place)
 
 
 def _add_legend(axes: Axes, scene: TopDownScene) -> None:

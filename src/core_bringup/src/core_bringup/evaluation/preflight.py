@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Callable, Dict, Sequence
+from typing import Callable, Dict, Optional, Sequence
 
 import rospkg
 import yaml
@@ -35,7 +35,10 @@ PROFILE_READERS = {
 
 @dataclass(frozen=True)
 class DemoRequest:
-    """Arguments of launch/demo.launch, checked; the field names are the argument names."""
+    """Arguments of launch/demo.launch, checked; the field names are the argument names.
+
+    rtf None means: as fast as possible under lock-step when nobody watches, in real time otherwise.
+    """
 
     world: str = "warehouse"
     task: str = "cone_line"
@@ -45,7 +48,7 @@ class DemoRequest:
     backend: str = "pybullet"
     robot: str = "spot_like"
     lockstep: bool = True
-    rtf: float = 1.0
+    rtf: Optional[float] = None
     gui: bool = False
     renderer: str = "tiny"
     view: bool = False
@@ -56,6 +59,8 @@ class DemoRequest:
         """Every argument as roslaunch takes it, results as an absolute path."""
         values = {name: getattr(self, name) for name in self.__dataclass_fields__}
         values["results"] = str(Path(self.results).resolve())
+        if self.rtf is None:
+            values["rtf"] = 0.0 if self.lockstep and not (self.gui or self.view) else 1.0
         values["robot"] = str(find_robot_file(self.robot).resolve())
         if Path(self.world).suffix:
             values["world"] = str(Path(self.world).resolve())
@@ -147,7 +152,7 @@ def check_request(request: DemoRequest) -> float:
     time_limit_s = float(world.task(request.task).time_limit_s)
     if not math.isfinite(time_limit_s):
         raise ConfigError(str(world.path), f"tasks.{request.task}.time_limit_s", f"got {time_limit_s}", "a finite time")
-    bridge = {name: getattr(request, name) for name in ("backend", "gui", "renderer", "seed", "lockstep", "rtf")}
+    bridge = {name: getattr(request, name) for name in ("backend", "gui", "renderer", "seed", "lockstep")}
     BridgeParams.from_dict(bridge, SOURCE)
     RobotConfig.load(find_robot_file(request.robot))
     check_profile(request.profile)

@@ -177,7 +177,13 @@ def _title_lines(result: Dict[str, object]) -> Sequence[str]:
     def metres(key: str) -> Optional[str]:
         return None if result[key] is None else f"{result[key]:.2f} m"
 
-    what = " · ".join(f"{name} {result[name]}" for name in ("task", "method", "profile", "seed", "backend"))
+    # Without the filter the profile changes the map, not the walk.
+    names = [
+        name
+        for name in ("task", "method", "profile", "seed", "backend")
+        if name != "profile" or result["method"] != "none"
+    ]
+    what = " · ".join(f"{name} {result[name]}" for name in names)
     figures = [
         ("stop gap", metres("stop_gap_m")),
         ("smallest clearance", metres("min_clearance_m")),

@@ -31,9 +31,7 @@ class BridgeLoop(abc.ABC):
     The first tick comes one period after the start, which the robot spends standing: a zero stamp is "none" in ROS.
     """
 
-    def __init__(
-        self, simulation: Simulation, params: BridgeParams, publishers: BridgePublishers, control: RunControl
-    ):
+    def __init__(self, simulation: Simulation, params: BridgeParams, publishers: BridgePublishers, control: RunControl):
         """Prepare tick 1."""
         self._simulation, self._params, self._publishers, self._control = simulation, params, publishers, control
         self._hold = CommandHold(params.cmd_vel_timeout_s)

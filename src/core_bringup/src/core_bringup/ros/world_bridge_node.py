@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import sys
+import threading
+from typing import List
 
 import rospy
 
 from core_bringup.exceptions import BringupError, ConfigError
 from core_bringup.params import BridgeParams
-from core_bringup.ros.bridge_loops import LockstepLoop, RealtimeLoop
+from core_bringup.ros.bridge_loops import BridgeLoop, LockstepLoop, RealtimeLoop
 from core_bringup.ros.bridge_publishers import BridgePublishers
 from core_bringup.ros.bridge_services import BridgeServices
 from core_bringup.run_control import RunControl
@@ -18,6 +20,7 @@ from core_bringup.simulation import Simulation
 NODE = "world_bridge"
 EXIT_OK, EXIT_FAILED, EXIT_BAD_INPUT = 0, 1, 2
 LOG_FLUSH_S = 0.5
+JOIN_POLL_S = 0.2
 
 
 def run_bridge(params: BridgeParams, simulation: Simulation) -> None:
@@ -31,7 +34,29 @@ def run_bridge(params: BridgeParams, simulation: Simulation) -> None:
         "world %s, task %s, seed %d: %s, renderer %s, %s", simulation.world.name, params.task, params.seed,
         params.backend, params.renderer, "lock-step" if params.lockstep else f"rtf {params.rtf:g}",
     )  # fmt: skip
-    loop.run()
+    _run_in_thread(loop)
+
+
+def _run_in_thread(loop: BridgeLoop) -> None:
+    """Run the loop beside the main thread, and raise here what it raises.
+
+    rospy handles signals in the main thread and closes every publisher there; a loop interrupted while it publishes
+    would hold the lock that the handler waits for.
+    """
+    errors: List[Exception] = []
+
+    def run() -> None:
+        try:
+            loop.run()
+        except Exception as error:  # noqa: BLE001 - handed on, not swallowed
+            errors.append(error)
+
+    thread = threading.Thread(target=run, name="world", daemon=True)
+    thread.start()
+    while thread.is_alive():
+        thread.join(JOIN_POLL_S)
+    if errors:
+        raise errors[0]
 
 
 def main() -> int:

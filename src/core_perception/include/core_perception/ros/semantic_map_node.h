@@ -28,6 +28,8 @@ class SemanticMapNode {
   bool hasStamp(const Message& message, const char* what);
   void onDepth(const sensor_msgs::ImageConstPtr& depth);
   void onTf(const tf2_msgs::TFMessage& message, bool is_static);
+  /// Stamps that go back by more mean that the clock was set back [s].
+  double longestStepBack() const;
   /// Adds every complete frame whose pose is known.
   void processQueue();
   /// @returns false while the pose is not known yet.

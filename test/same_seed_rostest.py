@@ -41,4 +41,5 @@ class SameSeed(unittest.TestCase):
 
 if __name__ == "__main__":
     import rostest
+
     rostest.rosrun("core_bringup", "same_seed", SameSeed, sys.argv)

@@ -54,5 +54,6 @@ class TrialOutcome(unittest.TestCase):
 
 if __name__ == "__main__":
     import rostest
-    rospy.init_node("trial_outcome_test", disable_rostime=True)
+
+    rospy.init_node("trial_outcome_rostest", disable_rostime=True)
     rostest.rosrun("core_bringup", "trial_outcome", TrialOutcome, sys.argv)

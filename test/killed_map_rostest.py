@@ -11,7 +11,6 @@ import unittest
 import rospy
 from core_msgs.msg import FilterState
 from geometry_msgs.msg import Twist
-
 from graph import node_pid, wait_for
 
 WALK_DEADLINE_S = 60.0
@@ -27,8 +26,10 @@ def speed(twist):
 class KilledMap(unittest.TestCase):
     def setUp(self):
         self.commands, self.states = [], []
-        self.subscribers = [rospy.Subscriber("cmd_vel", Twist, lambda m: self.commands.append((time.monotonic(), speed(m)))),
-                            rospy.Subscriber("cbf_filter/state", FilterState, lambda m: self.states.append((time.monotonic(), m)))]
+        self.subscribers = [
+            rospy.Subscriber("cmd_vel", Twist, lambda m: self.commands.append((time.monotonic(), speed(m)))),
+            rospy.Subscriber("cbf_filter/state", FilterState, lambda m: self.states.append((time.monotonic(), m))),
+        ]
 
     def test_robot_stops_when_the_map_is_killed(self):
         wait_for(self, lambda: self.commands and self.commands[-1][1] > 0.3, WALK_DEADLINE_S, "the robot to walk")
@@ -46,5 +47,6 @@ class KilledMap(unittest.TestCase):
 
 if __name__ == "__main__":
     import rostest
-    rospy.init_node("killed_map_test", disable_rostime=True)
+
+    rospy.init_node("killed_map_rostest", disable_rostime=True)
     rostest.rosrun("core_bringup", "killed_map", KilledMap, sys.argv)

@@ -9,9 +9,8 @@ import unittest
 
 import rospy
 from core_msgs.msg import FilterState
-from rosgraph_msgs.msg import Log
-
 from graph import node_pid, wait_for
+from rosgraph_msgs.msg import Log
 
 DEADLINE_S = 60.0
 
@@ -19,13 +18,20 @@ DEADLINE_S = 60.0
 class LockstepStall(unittest.TestCase):
     def test_error_names_the_node_awaited(self):
         ticks, errors = [], []
-        subscribers = [rospy.Subscriber("cbf_filter/state", FilterState, lambda m: ticks.append(m.tick)),
-                       rospy.Subscriber("/rosout_agg", Log, lambda m: errors.append(m) if m.level >= Log.ERROR else None)]
+        subscribers = [
+            rospy.Subscriber("cbf_filter/state", FilterState, lambda m: ticks.append(m.tick)),
+            rospy.Subscriber("/rosout_agg", Log, lambda m: errors.append(m) if m.level >= Log.ERROR else None),
+        ]
         wait_for(self, lambda: ticks and ticks[-1] > 20, DEADLINE_S, "the run to be under way")
         pid = node_pid("segmenter")
         os.kill(pid, signal.SIGSTOP)
         try:
-            wait_for(self, lambda: any("segmenter" in m.msg and m.name.endswith("world_bridge") for m in errors), DEADLINE_S, "an error that names segmenter")
+            wait_for(
+                self,
+                lambda: any("segmenter" in m.msg and m.name.endswith("world_bridge") for m in errors),
+                DEADLINE_S,
+                "an error that names segmenter",
+            )
         finally:
             os.kill(pid, signal.SIGCONT)
         self.assertTrue(subscribers)
@@ -33,5 +39,6 @@ class LockstepStall(unittest.TestCase):
 
 if __name__ == "__main__":
     import rostest
-    rospy.init_node("lockstep_stall_test", disable_rostime=True)
+
+    rospy.init_node("lockstep_stall_rostest", disable_rostime=True)
     rostest.rosrun("core_bringup", "lockstep_stall", LockstepStall, sys.argv)
