@@ -83,7 +83,7 @@ build_stamp() {
   (
     cd "$here"
     printf '%s\n' "$here"
-    find src launch worlds test -not -name '*.pyc' -not -name __pycache__ -not -path src/CMakeLists.txt | LC_ALL=C sort
+    find src -not -name '*.pyc' -not -name __pycache__ -not -path src/CMakeLists.txt | LC_ALL=C sort
     find src -type f \( -name '*.cpp' -o -name '*.h' -o -name '*.msg' -o -name '*.srv' -o -name CMakeLists.txt -o -name package.xml \
       -o -name setup.py -o -path '*/scripts/*' \) -not -path src/CMakeLists.txt -print0 | LC_ALL=C sort -z | xargs -0 sha256sum
   ) | sha256sum | cut -d' ' -f1

@@ -46,7 +46,7 @@ class TrialOutcome(unittest.TestCase):
 
     def test_base_point_stayed_out(self):
         self.expected("base_never_inside")
-        self.assertFalse(self.result["base_violated"], self.result)
+        self.assertFalse(self.result["base_entered"], self.result)
 
     def test_nothing_touched(self):
         self.assertGreater(self.result["min_clearance_m"], 0.0, self.result)

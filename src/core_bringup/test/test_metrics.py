@@ -41,6 +41,13 @@ def test_interventions_are_episodes_not_ticks():
     assert metrics.count_interventions(records) == 3
 
 
+def test_waiting_for_the_first_input_is_no_intervention_and_a_later_stop_is_one():
+    waiting = [held(t, 0.0, mode="STOPPED") for t in range(1, 3)]
+    walking = [make_record(t, 0.0) for t in range(3, 60)]
+    assert metrics.count_interventions(waiting + walking) == 0
+    assert metrics.count_interventions(waiting + walking + [held(60, 0.0, mode="STOPPED")]) == 1
+
+
 @pytest.mark.parametrize("ticks, stops", [(15, 0), (20, 0), (22, 1), (60, 1)])
 def test_a_stop_is_false_when_it_lasts_more_than_a_second_on_a_safe_task(ticks, stops):
     records = [held(t, 1.0) if 10 < t <= 10 + ticks else make_record(t, 1.0) for t in range(1, 100)]

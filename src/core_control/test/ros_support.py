@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Fakes for the rostests: publishers at a rate, a collector of answers, and waits with a deadline."""
 
+import contextlib
 import threading
 import time
 
@@ -63,8 +64,10 @@ class RatePublisher:
         self._pub.unregister()
 
     def _run(self):
-        while not self._stop.wait(self._period_s):
-            self._pub.publish(self.make())
+        # A topic that is closed means that the test is over.
+        with contextlib.suppress(rospy.ROSException):
+            while not self._stop.wait(self._period_s):
+                self._pub.publish(self.make())
 
 
 class Collector:

@@ -42,6 +42,15 @@ def test_signed_distance_never_changes_faster_than_the_point_moves():
     assert np.all(change <= np.linalg.norm(p - q, axis=1) + 1e-9)
 
 
+def test_smallest_distance_overlooks_no_box():
+    rng = np.random.default_rng(6)
+    field = make_field(make_random_mask(rng))
+    for spread_m in (0.0, 0.01, 0.1, 1.0, 5.0):
+        points = rng.uniform(-4, 4, 2) + rng.normal(0.0, spread_m, (50, 2))
+        expected = field.unsafe_boxes.compute_distance(points).min(axis=1)
+        np.testing.assert_array_equal(field.unsafe_boxes.compute_smallest_distance(points), expected)
+
+
 def test_outside_the_grid_is_unsafe():
     field = make_field(np.zeros((20, 20), bool))
     np.testing.assert_allclose(field.compute_signed_distance(np.array([[0.0, 0.0], [1.5, 0.0]])), [1.0, -0.5])

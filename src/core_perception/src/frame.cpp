@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "core_perception/frame.h"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -9,23 +10,43 @@
 namespace core_perception {
 namespace {
 
-std::string formatSize(int width, int height) { return std::to_string(width) + "x" + std::to_string(height); }
+std::string formatSize(int width, int height) {
+  return std::to_string(width) + "x" + std::to_string(height);
+}
 
 bool isPositive(double value) { return std::isfinite(value) && value > 0.0; }
 
 void checkImages(const Frame& frame) {
   const cv::Mat& depth = frame.depth;
   const cv::Mat& labels = frame.labels;
-  if (depth.empty() || labels.empty()) throw FrameError("image_empty", "depth or labels hold no pixel");
+  if (depth.empty() || labels.empty())
+    throw FrameError("image_empty", "depth or labels hold no pixel");
   if (depth.type() != CV_32FC1 && depth.type() != CV_16UC1) {
     throw FrameError("image_type", "depth must be 32FC1 in metres or 16UC1 in millimetres");
   }
   if (labels.type() != CV_16UC1) throw FrameError("image_type", "labels must be mono16");
   const Camera& camera = frame.camera;
-  if (depth.size() != labels.size() || depth.cols != camera.width_px || depth.rows != camera.height_px) {
+  if (depth.size() != labels.size() || depth.cols != camera.width_px ||
+      depth.rows != camera.height_px) {
     throw FrameError("image_size", "depth " + formatSize(depth.cols, depth.rows) + ", labels " +
                                        formatSize(labels.cols, labels.rows) + ", camera " +
-                                       formatSize(camera.width_px, camera.height_px) + " must be equal");
+                                       formatSize(camera.width_px, camera.height_px) +
+                                       " must be equal");
+  }
+}
+
+void checkPose(const Frame& frame) {
+  // 5 km is what a tree of 2^16 cells of 0.2 m can hold; resolution decides the rest in VoteMap.
+  constexpr double kFarthest_m = 5000.0;
+  const Eigen::Matrix3d R = frame.T_map_camera.linear();
+  const double farthest_m = frame.T_map_camera.translation().cwiseAbs().maxCoeff();
+  // Written so that NaN fails.
+  const bool valid = frame.T_map_camera.matrix().allFinite() && farthest_m <= kFarthest_m &&
+                     std::abs(frame.p_map_base.x) <= kFarthest_m &&
+                     std::abs(frame.p_map_base.y) <= kFarthest_m &&
+                     (R * R.transpose()).isIdentity(1e-3);
+  if (!valid) {
+    throw FrameError("pose_invalid", "poses must be finite, rigid and within 5 km of the origin");
   }
 }
 
@@ -54,6 +75,17 @@ Camera scaleCamera(const Camera& camera, int width_px, int height_px) {
   return scaled;
 }
 
+double computeLongestRay(const Camera& camera) {
+  double longest = 0.0;
+  for (const double u : {0.0, camera.width_px - 1.0}) {
+    for (const double v : {0.0, camera.height_px - 1.0}) {
+      const double x = (u - camera.cx_px) / camera.fx_px, y = (v - camera.cy_px) / camera.fy_px;
+      longest = std::max(longest, std::sqrt(x * x + y * y + 1.0));
+    }
+  }
+  return longest;
+}
+
 void checkFrame(const Frame& frame) {
   checkImages(frame);
   const Camera& camera = frame.camera;
@@ -61,14 +93,13 @@ void checkFrame(const Frame& frame) {
       !std::isfinite(camera.cy_px)) {
     throw FrameError("camera_invalid", "focal lengths must be positive and the centre finite");
   }
-  if (!isPositive(frame.stamp_s)) throw FrameError("stamp_invalid", "the stamp must be positive");
-  const bool finite = frame.T_map_camera.matrix().allFinite() && std::isfinite(frame.p_map_base.x) &&
-                      std::isfinite(frame.p_map_base.y);
-  // 5 km is what a tree of 2^16 cells of 0.2 m can hold; resolution decides the rest in VoteMap.
-  constexpr double kFarthest_m = 5000.0;
-  if (!finite || frame.T_map_camera.translation().cwiseAbs().maxCoeff() > kFarthest_m) {
-    throw FrameError("pose_invalid", "the pose must be finite and within 5 km of the origin");
+  // Also bounds the memory of the scratch volume.
+  constexpr double kLongestRay = 3.0;
+  if (!(computeLongestRay(camera) <= kLongestRay)) {
+    throw FrameError("camera_invalid", "a view wider than 140 degrees is no pinhole camera");
   }
+  if (!isPositive(frame.stamp_s)) throw FrameError("stamp_invalid", "the stamp must be positive");
+  checkPose(frame);
 }
 
 void convertToMetres(const cv::Mat& depth, cv::Mat* metres) {

@@ -20,19 +20,21 @@ bool sawOnlyFloor(const FrameVotes& votes, const VoteMap& map, int x, int y) {
 
 }  // namespace
 
-bool isSeenThrough(const cv::Mat& metres, const Projection& projection, const Eigen::Vector3d& centre,
-                   double resolution_m, bool no_depth_is_beyond) {
+bool isSeenThrough(const cv::Mat& metres, const Projection& projection,
+                   const Eigen::Vector3d& centre, double resolution_m, bool no_depth_is_beyond) {
   const double radius_m = 0.5 * std::sqrt(3.0) * resolution_m;
   const Eigen::Vector3d pixel = projection.project(centre);
   if (pixel.z() <= 2.0 * radius_m) return false;
   const double half_u = projection.camera().fx_px * radius_m / (pixel.z() - radius_m);
   const double half_v = projection.camera().fy_px * radius_m / (pixel.z() - radius_m);
   const bool inside = pixel.x() - half_u >= 0.0 && pixel.y() - half_v >= 0.0 &&
-                      pixel.x() + half_u <= metres.cols - 1 && pixel.y() + half_v <= metres.rows - 1;
+                      pixel.x() + half_u <= metres.cols - 1 &&
+                      pixel.y() + half_v <= metres.rows - 1;
   if (!inside) return false;
   const auto beyond_m = static_cast<float>(pixel.z() + radius_m);
   for (int i = -2; i <= 2; ++i) {
-    const float* row = metres.ptr<float>(static_cast<int>(std::lround(pixel.y() + 0.5 * i * half_v)));
+    const float* row =
+        metres.ptr<float>(static_cast<int>(std::lround(pixel.y() + 0.5 * i * half_v)));
     for (int j = -2; j <= 2; ++j) {
       const float depth_m = row[std::lround(pixel.x() + 0.5 * j * half_u)];
       if (depth_m > 0.0f ? depth_m <= beyond_m : !no_depth_is_beyond) return false;
@@ -42,7 +44,8 @@ bool isSeenThrough(const cv::Mat& metres, const Projection& projection, const Ei
 }
 
 int clearSeenThrough(const cv::Mat& metres, const Projection& projection, const FrameVotes& votes,
-                     const ColumnRange& range, double resolution_m, VoteMap* map) {
+                     const ColumnRange& range, VoteMap* map) {
+  const double resolution_m = map->tree().getResolution();
   int n_cleared = 0;
   for (int y = range.min_y; y <= range.max_y; ++y) {
     for (int x = range.min_x; x <= range.max_x; ++x) {

@@ -47,7 +47,9 @@ double cornersToPolygon(const Polygon& corners, const Polygon& polygon) {
 }  // namespace
 
 Polygon computeConvexHull(std::vector<Point2> points) {
-  const auto less = [](const Point2& a, const Point2& b) { return a.x < b.x || (a.x == b.x && a.y < b.y); };
+  const auto less = [](const Point2& a, const Point2& b) {
+    return a.x < b.x || (a.x == b.x && a.y < b.y);
+  };
   const auto same = [](const Point2& a, const Point2& b) { return a.x == b.x && a.y == b.y; };
   std::sort(points.begin(), points.end(), less);
   points.erase(std::unique(points.begin(), points.end(), same), points.end());
@@ -137,7 +139,8 @@ double computeDistance(const Point2& point, const Polygon& polygon) {
   if (contains(polygon, point)) return 0.0;
   double best = std::numeric_limits<double>::infinity();
   for (size_t i = 0; i < polygon.size(); ++i) {
-    best = std::min(best, squaredDistanceToSegment(point, polygon[i], polygon[(i + 1) % polygon.size()]));
+    best = std::min(best,
+                    squaredDistanceToSegment(point, polygon[i], polygon[(i + 1) % polygon.size()]));
   }
   return std::sqrt(best);
 }

@@ -25,7 +25,8 @@ std::vector<Polygon> makeParts(const HeldInstance& held, bool extended, double r
   if (!extended) return {held.footprint};
   std::vector<Polygon> parts;
   for (const CellIndex& cell : held.cells) {
-    parts.push_back(makeSquare({(cell.x + 0.5) * resolution_m, (cell.y + 0.5) * resolution_m}, resolution_m));
+    parts.push_back(
+        makeSquare({(cell.x + 0.5) * resolution_m, (cell.y + 0.5) * resolution_m}, resolution_m));
   }
   return parts;
 }
@@ -53,12 +54,14 @@ void addBetween(const Predicate& predicate, const std::vector<const HeldInstance
     }
     Region region = makeRegion(predicate, cluster.first);
     region.parts = {computeConvexHull(std::move(corners))};
-    region.radius_m = std::max(0.0, 0.5 * (params.between_min_thickness_m - computeWidth(region.parts[0])));
+    region.radius_m =
+        std::max(0.0, 0.5 * (params.between_min_thickness_m - computeWidth(region.parts[0])));
     regions->push_back(std::move(region));
   }
 }
 
-/// Distance from a cell's square to the polygon is at most radius; exact, with two cheap answers first.
+/// Distance from a cell's square to the polygon is at most radius; exact, with two cheap answers
+/// first.
 bool reaches(const Polygon& part, const Point2& centre, double resolution_m, double radius_m) {
   const double distance_m = computeDistance(centre, part);
   if (distance_m <= radius_m) return true;
@@ -68,7 +71,8 @@ bool reaches(const Polygon& part, const Point2& centre, double resolution_m, dou
 
 }  // namespace
 
-std::vector<Region> buildRegions(const std::vector<HeldInstance>& instances, const std::vector<Predicate>& predicates,
+std::vector<Region> buildRegions(const std::vector<HeldInstance>& instances,
+                                 const std::vector<Predicate>& predicates,
                                  const InstanceParams& params, double resolution_m) {
   std::vector<Region> regions;
   for (const Predicate& predicate : predicates) {
@@ -82,30 +86,42 @@ std::vector<Region> buildRegions(const std::vector<HeldInstance>& instances, con
       addBetween(predicate, members, params, &regions);
       continue;
     }
-    for (const HeldInstance* held : members) addAround(predicate, *held, params, resolution_m, &regions);
+    for (const HeldInstance* held : members)
+      addAround(predicate, *held, params, resolution_m, &regions);
   }
   return regions;
 }
 
 bool isUnsafeClass(const std::string& class_name, const std::vector<Predicate>& predicates) {
   return std::any_of(predicates.begin(), predicates.end(), [&](const Predicate& predicate) {
-    return predicate.class_name == class_name && predicate.isUnsafe() && !isCancelled(predicate, predicates);
+    return predicate.class_name == class_name && predicate.isUnsafe() &&
+           !isCancelled(predicate, predicates);
   });
 }
 
-void forEachCell(const Region& region, const GridFrame& grid, const std::function<void(size_t)>& visit) {
+void forEachCell(const Region& region, const GridFrame& grid,
+                 const std::function<void(size_t)>& visit) {
   const double res = grid.resolution_m;
   const auto clamp = [](int value, int size) { return std::min(std::max(value, 0), size); };
   for (const Polygon& part : region.parts) {
     const Box2 box = computeBounds(part);
-    const int x0 = clamp(static_cast<int>(std::floor((box.min_x - region.radius_m) / res)) - grid.origin.x, grid.width);
-    const int y0 = clamp(static_cast<int>(std::floor((box.min_y - region.radius_m) / res)) - grid.origin.y, grid.height);
-    const int x1 = clamp(static_cast<int>(std::floor((box.max_x + region.radius_m) / res)) - grid.origin.x + 1, grid.width);
-    const int y1 = clamp(static_cast<int>(std::floor((box.max_y + region.radius_m) / res)) - grid.origin.y + 1, grid.height);
+    const int x0 =
+        clamp(static_cast<int>(std::floor((box.min_x - region.radius_m) / res)) - grid.origin.x,
+              grid.width);
+    const int y0 =
+        clamp(static_cast<int>(std::floor((box.min_y - region.radius_m) / res)) - grid.origin.y,
+              grid.height);
+    const int x1 =
+        clamp(static_cast<int>(std::floor((box.max_x + region.radius_m) / res)) - grid.origin.x + 1,
+              grid.width);
+    const int y1 =
+        clamp(static_cast<int>(std::floor((box.max_y + region.radius_m) / res)) - grid.origin.y + 1,
+              grid.height);
     for (int y = y0; y < y1; ++y) {
       for (int x = x0; x < x1; ++x) {
         const Point2 centre{(grid.origin.x + x + 0.5) * res, (grid.origin.y + y + 0.5) * res};
-        if (reaches(part, centre, res, region.radius_m)) visit(static_cast<size_t>(y) * grid.width + x);
+        if (reaches(part, centre, res, region.radius_m))
+          visit(static_cast<size_t>(y) * grid.width + x);
       }
     }
   }

@@ -12,13 +12,16 @@ namespace core_perception {
 namespace {
 
 constexpr size_t kFirstTableSize = 1 << 14;  // a power of two
-constexpr int kCoarse = 2;                   // bins along the edge of a cell of the connectivity grid (0.1 m)
+constexpr int kCoarse = 2;  // bins along the edge of a cell of the connectivity grid (0.1 m)
 
-int floorDivide(int value, int step) { return value >= 0 ? value / step : -((step - 1 - value) / step); }
+int floorDivide(int value, int step) {
+  return value >= 0 ? value / step : -((step - 1 - value) / step);
+}
 
 size_t computeHash(int16_t slot, int x, int y) {
   uint64_t h = static_cast<uint32_t>(x) * 0x9E3779B97F4A7C15ull;
-  h ^= static_cast<uint32_t>(y) * 0xC2B2AE3D27D4EB4Full + static_cast<uint16_t>(slot) * 0x165667B19E3779F9ull;
+  h ^= static_cast<uint32_t>(y) * 0xC2B2AE3D27D4EB4Full +
+       static_cast<uint16_t>(slot) * 0x165667B19E3779F9ull;
   return static_cast<size_t>(h ^ (h >> 29));
 }
 
@@ -85,7 +88,8 @@ std::vector<Detection> InstanceDetector::finish(const std::vector<std::string>& 
 void InstanceDetector::splitSlot(const std::vector<const Bin*>& bins, const std::string& class_name,
                                  std::vector<Detection>* detections) const {
   std::vector<cv::Point> cells;
-  for (const Bin* bin : bins) cells.emplace_back(floorDivide(bin->x, kCoarse), floorDivide(bin->y, kCoarse));
+  for (const Bin* bin : bins)
+    cells.emplace_back(floorDivide(bin->x, kCoarse), floorDivide(bin->y, kCoarse));
   cv::Rect box = cv::boundingRect(cells);
   box -= cv::Point(1, 1);
   box += cv::Size(2, 2);
@@ -96,19 +100,21 @@ void InstanceDetector::splitSlot(const std::vector<const Bin*>& bins, const std:
   cv::Mat groups;
   const int n_groups = cv::connectedComponents(grid, groups, 8, CV_32S);
   std::vector<std::vector<const Bin*>> members(n_groups);
-  for (size_t i = 0; i < bins.size(); ++i) members[groups.at<int>(cells[i] - box.tl())].push_back(bins[i]);
+  for (size_t i = 0; i < bins.size(); ++i)
+    members[groups.at<int>(cells[i] - box.tl())].push_back(bins[i]);
   for (const std::vector<const Bin*>& group : members) {
     appendDetection(keepStanding(group, min_points_), class_name, detections);
   }
 }
 
-std::vector<const InstanceDetector::Bin*> InstanceDetector::keepStanding(const std::vector<const Bin*>& bins,
-                                                                         uint32_t min_points) {
+std::vector<const InstanceDetector::Bin*> InstanceDetector::keepStanding(
+    const std::vector<const Bin*>& bins, uint32_t min_points) {
   std::set<std::pair<int, int>> beside_standing;
   uint32_t n_standing = 0;
   for (const Bin* bin : bins) {
     n_standing += bin->n_standing;
-    for (int k = 0; bin->n_standing > 0 && k < 9; ++k) beside_standing.emplace(bin->x + k % 3 - 1, bin->y + k / 3 - 1);
+    for (int k = 0; bin->n_standing > 0 && k < 9; ++k)
+      beside_standing.emplace(bin->x + k % 3 - 1, bin->y + k / 3 - 1);
   }
   if (n_standing < min_points) return bins;  // a flat thing
   std::vector<const Bin*> kept;
@@ -118,7 +124,8 @@ std::vector<const InstanceDetector::Bin*> InstanceDetector::keepStanding(const s
   return kept;
 }
 
-void InstanceDetector::appendDetection(const std::vector<const Bin*>& bins, const std::string& class_name,
+void InstanceDetector::appendDetection(const std::vector<const Bin*>& bins,
+                                       const std::string& class_name,
                                        std::vector<Detection>* detections) const {
   Detection detection;
   detection.class_name = class_name;
@@ -128,14 +135,17 @@ void InstanceDetector::appendDetection(const std::vector<const Bin*>& bins, cons
     points.push_back(mean);
     detection.cells.push_back({static_cast<int>(std::floor(mean.x / map_resolution_m_)),
                                static_cast<int>(std::floor(mean.y / map_resolution_m_))});
-    detection.z_min_m = detection.n_points == 0 ? bin->z_min_m : std::min(detection.z_min_m, bin->z_min_m);
-    detection.z_max_m = detection.n_points == 0 ? bin->z_max_m : std::max(detection.z_max_m, bin->z_max_m);
+    detection.z_min_m =
+        detection.n_points == 0 ? bin->z_min_m : std::min(detection.z_min_m, bin->z_min_m);
+    detection.z_max_m =
+        detection.n_points == 0 ? bin->z_max_m : std::max(detection.z_max_m, bin->z_max_m);
     detection.n_points += bin->n_points;
   }
   if (detection.n_points < min_points_) return;
   detection.footprint = computeConvexHull(std::move(points));
   std::sort(detection.cells.begin(), detection.cells.end());
-  detection.cells.erase(std::unique(detection.cells.begin(), detection.cells.end()), detection.cells.end());
+  detection.cells.erase(std::unique(detection.cells.begin(), detection.cells.end()),
+                        detection.cells.end());
   detections->push_back(std::move(detection));
 }
 

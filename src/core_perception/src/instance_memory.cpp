@@ -26,7 +26,8 @@ Polygon uniteHulls(const Polygon& a, const Polygon& b) {
   return simplifyHull(computeConvexHull(std::move(points)), kMostCorners);
 }
 
-std::vector<CellIndex> uniteCells(const std::vector<CellIndex>& a, const std::vector<CellIndex>& b) {
+std::vector<CellIndex> uniteCells(const std::vector<CellIndex>& a,
+                                  const std::vector<CellIndex>& b) {
   std::vector<CellIndex> all;
   std::set_union(a.begin(), a.end(), b.begin(), b.end(), std::back_inserter(all));
   return all;
@@ -48,7 +49,8 @@ void mergeInto(const HeldInstance& from, HeldInstance* to) {
 
 }  // namespace
 
-void InstanceMemory::update(double stamp_s, const std::vector<Detection>& detections, const Probe& probe) {
+void InstanceMemory::update(double stamp_s, const std::vector<Detection>& detections,
+                            const Probe& probe) {
   for (HeldInstance& held : instances_) held.in_view = false;
   const std::vector<size_t> matches = match(detections);
   for (size_t i = 0; i < detections.size(); ++i) {
@@ -63,14 +65,16 @@ void InstanceMemory::update(double stamp_s, const std::vector<Detection>& detect
 }
 
 std::vector<size_t> InstanceMemory::match(const std::vector<Detection>& detections) const {
-  using Candidate = std::tuple<double, double, size_t, size_t>;  // gap, distance of centres, detection, held
+  using Candidate =
+      std::tuple<double, double, size_t, size_t>;  // gap, distance of centres, detection, held
   std::vector<Candidate> candidates;
   for (size_t i = 0; i < detections.size(); ++i) {
     for (size_t j = 0; j < instances_.size(); ++j) {
       if (detections[i].class_name != instances_[j].class_name) continue;
       const double gap = computeDistance(detections[i].footprint, instances_[j].footprint);
       if (gap > params_.match_distance_m) continue;
-      candidates.emplace_back(gap, distanceOfCentres(detections[i].footprint, instances_[j].footprint), i, j);
+      candidates.emplace_back(
+          gap, distanceOfCentres(detections[i].footprint, instances_[j].footprint), i, j);
     }
   }
   std::sort(candidates.begin(), candidates.end());
@@ -87,7 +91,8 @@ std::vector<size_t> InstanceMemory::match(const std::vector<Detection>& detectio
 
 void InstanceMemory::placeUnmatched(double stamp_s, const Detection& detection) {
   for (HeldInstance& held : instances_) {
-    const bool piece = held.class_name == detection.class_name && held.isExtended(params_.max_footprint_m) &&
+    const bool piece = held.class_name == detection.class_name &&
+                       held.isExtended(params_.max_footprint_m) &&
                        computeDistance(held.footprint, detection.footprint) <= kTouching_m;
     if (piece) {  // one more piece of a rack or a wall
       mergeInto(create(stamp_s, detection), &held);
@@ -130,7 +135,8 @@ void InstanceMemory::absorb(double stamp_s, const Detection& detection, HeldInst
   held->last_seen_s = stamp_s;
   held->doubt = 0;
   ++held->frames_seen;
-  held->confirmed = held->confirmed || held->frames_seen >= static_cast<uint32_t>(params_.min_frames);
+  held->confirmed =
+      held->confirmed || held->frames_seen >= static_cast<uint32_t>(params_.min_frames);
 }
 
 void InstanceMemory::mergeOverlapping() {
@@ -140,7 +146,8 @@ void InstanceMemory::mergeOverlapping() {
       const HeldInstance& b = instances_[j];
       // Two that one frame told apart are two, even where their hulls touch.
       const bool told_apart = a.in_view && b.in_view;
-      if (told_apart || a.class_name != b.class_name || computeDistance(a.footprint, b.footprint) > 0.0) {
+      if (told_apart || a.class_name != b.class_name ||
+          computeDistance(a.footprint, b.footprint) > 0.0) {
         ++j;
         continue;
       }
@@ -160,12 +167,16 @@ void InstanceMemory::releaseEmpty(const Probe& probe) {
   }
   const int most = kDoubtOfEmpty * params_.release_frames;
   const auto released = [most](const HeldInstance& held) { return held.doubt >= most; };
-  instances_.erase(std::remove_if(instances_.begin(), instances_.end(), released), instances_.end());
+  instances_.erase(std::remove_if(instances_.begin(), instances_.end(), released),
+                   instances_.end());
 }
 
 void InstanceMemory::forgetClass(const std::string& class_name) {
-  const auto of_class = [&class_name](const HeldInstance& held) { return held.class_name == class_name; };
-  instances_.erase(std::remove_if(instances_.begin(), instances_.end(), of_class), instances_.end());
+  const auto of_class = [&class_name](const HeldInstance& held) {
+    return held.class_name == class_name;
+  };
+  instances_.erase(std::remove_if(instances_.begin(), instances_.end(), of_class),
+                   instances_.end());
 }
 
 void InstanceMemory::clear() {
@@ -183,8 +194,11 @@ void labelClusters(double max_gap_m, std::vector<HeldInstance>* instances) {
   };
   for (size_t i = 0; i < all.size(); ++i) {
     for (size_t j = i + 1; j < all.size(); ++j) {
-      if (!all[i].confirmed || !all[j].confirmed || all[i].class_name != all[j].class_name) continue;
-      if (all[i].cluster == all[j].cluster || computeDistance(all[i].footprint, all[j].footprint) > max_gap_m) continue;
+      if (!all[i].confirmed || !all[j].confirmed || all[i].class_name != all[j].class_name)
+        continue;
+      if (all[i].cluster == all[j].cluster ||
+          computeDistance(all[i].footprint, all[j].footprint) > max_gap_m)
+        continue;
       replace(std::max(all[i].cluster, all[j].cluster), std::min(all[i].cluster, all[j].cluster));
     }
   }

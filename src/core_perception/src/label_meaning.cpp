@@ -9,7 +9,8 @@ namespace core_perception {
 LabelMeanings::LabelMeanings(const std::vector<std::string>& surface_classes)
     : surface_classes_(surface_classes), table_(65536) {}
 
-LabelMeaning LabelMeanings::makeMeaning(const std::string& class_name, const std::vector<Predicate>& predicates,
+LabelMeaning LabelMeanings::makeMeaning(const std::string& class_name,
+                                        const std::vector<Predicate>& predicates,
                                         CauseTable* causes) const {
   bool safe = false, unsafe = false;
   bool surface = std::count(surface_classes_.begin(), surface_classes_.end(), class_name) > 0;
@@ -33,8 +34,8 @@ LabelMeaning LabelMeanings::makeMeaning(const std::string& class_name, const std
   return meaning;
 }
 
-void LabelMeanings::build(const std::vector<LabelClass>& classes, const std::vector<Predicate>& predicates,
-                          CauseTable* causes) {
+void LabelMeanings::build(const std::vector<LabelClass>& classes,
+                          const std::vector<Predicate>& predicates, CauseTable* causes) {
   const LabelMeaning unlabelled = [&] {
     LabelMeaning meaning;
     meaning.cause = causes->intern(kNotSafeRule, "");
@@ -51,7 +52,8 @@ void LabelMeanings::build(const std::vector<LabelClass>& classes, const std::vec
     const uint16_t id = classes[i].id;
     if (id == 0) continue;  // reserved for "no label"
     table_[id] = makeMeaning(classes[i].class_name, predicates, causes);
-    if (table_[id].instance_slot == 0) table_[id].instance_slot = i < kMostSlots ? static_cast<int16_t>(i) : -1;
+    if (table_[id].instance_slot == 0)
+      table_[id].instance_slot = i < kMostSlots ? static_cast<int16_t>(i) : -1;
     used_.push_back(id);
   }
 }

@@ -29,7 +29,8 @@ void appendColor(const SemanticOcTreeNode& node, Bytes* bytes) {
 
 /// OctoMap's pre-order: payload, then one bit for each child that follows.
 template <typename AppendPayload>
-void appendNode(const SemanticOcTree& tree, const SemanticOcTreeNode* node, AppendPayload appendPayload, Bytes* bytes) {
+void appendNode(const SemanticOcTree& tree, const SemanticOcTreeNode* node,
+                AppendPayload appendPayload, Bytes* bytes) {
   appendPayload(*node, bytes);
   uint8_t children = 0;
   for (unsigned i = 0; i < 8; ++i) {
@@ -37,7 +38,8 @@ void appendNode(const SemanticOcTree& tree, const SemanticOcTreeNode* node, Appe
   }
   append(&children, 1, bytes);
   for (unsigned i = 0; i < 8; ++i) {
-    if ((children & (1u << i)) != 0) appendNode(tree, tree.getNodeChild(node, i), appendPayload, bytes);
+    if ((children & (1u << i)) != 0)
+      appendNode(tree, tree.getNodeChild(node, i), appendPayload, bytes);
   }
 }
 
@@ -50,9 +52,12 @@ Bytes toBytes(const std::ostringstream& stream) {
 
 std::string idOf(WireFormat format) {
   switch (format) {
-    case WireFormat::kColor: return "ColorOcTree";
-    case WireFormat::kSemantic: return "SemanticOcTree";
-    default: return "OcTree";
+    case WireFormat::kColor:
+      return "ColorOcTree";
+    case WireFormat::kSemantic:
+      return "SemanticOcTree";
+    default:
+      return "OcTree";
   }
 }
 
@@ -62,10 +67,18 @@ std::vector<int8_t> serialise(WireFormat format, SemanticOcTree* tree) {
   tree->updateInnerOccupancy();
   std::ostringstream stream;
   switch (format) {
-    case WireFormat::kFull: appendNode(*tree, tree->getRoot(), appendValue, &bytes); return bytes;
-    case WireFormat::kColor: appendNode(*tree, tree->getRoot(), appendColor, &bytes); return bytes;
-    case WireFormat::kBinary: tree->writeBinaryData(stream); return toBytes(stream);
-    case WireFormat::kSemantic: tree->writeData(stream); return toBytes(stream);
+    case WireFormat::kFull:
+      appendNode(*tree, tree->getRoot(), appendValue, &bytes);
+      return bytes;
+    case WireFormat::kColor:
+      appendNode(*tree, tree->getRoot(), appendColor, &bytes);
+      return bytes;
+    case WireFormat::kBinary:
+      tree->writeBinaryData(stream);
+      return toBytes(stream);
+    case WireFormat::kSemantic:
+      tree->writeData(stream);
+      return toBytes(stream);
   }
   return bytes;
 }

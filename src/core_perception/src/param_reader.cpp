@@ -65,13 +65,25 @@ ParamValue ParamValue::ofString(const std::string& value) {
 std::string ParamValue::toText() const {
   std::ostringstream out;
   switch (kind) {
-    case Kind::kBool: out << (flag ? "true" : "false"); break;
+    case Kind::kBool:
+      out << (flag ? "true" : "false");
+      break;
     case Kind::kInt:
-    case Kind::kDouble: out << number; break;
-    case Kind::kString: out << '"' << text << '"'; break;
-    case Kind::kList: out << "a list of " << list.size(); break;
-    case Kind::kStruct: out << "a table of " << members.size(); break;
-    case Kind::kOther: out << "a value of another type"; break;
+    case Kind::kDouble:
+      out << number;
+      break;
+    case Kind::kString:
+      out << '"' << text << '"';
+      break;
+    case Kind::kList:
+      out << "a list of " << list.size();
+      break;
+    case Kind::kStruct:
+      out << "a table of " << members.size();
+      break;
+    case Kind::kOther:
+      out << "a value of another type";
+      break;
   }
   return out.str();
 }
@@ -89,7 +101,8 @@ void ParamReader::read(const std::string& key, double* field, const Bounds& boun
 void ParamReader::read(const std::string& key, int* field, const Bounds& bounds) {
   const ParamValue* value = find(key);
   if (value == nullptr) return;
-  if (value->kind != Kind::kInt) throw ParameterError(key, value->toText(), formatBounds("a whole number", bounds));
+  if (value->kind != Kind::kInt)
+    throw ParameterError(key, value->toText(), formatBounds("a whole number", bounds));
   *field = static_cast<int>(checkNumber(key, *value, bounds));
 }
 
@@ -100,12 +113,15 @@ void ParamReader::read(const std::string& key, bool* field) {
   *field = value->flag;
 }
 
-void ParamReader::read(const std::string& key, std::string* field, const std::vector<std::string>& allowed) {
+void ParamReader::read(const std::string& key, std::string* field,
+                       const std::vector<std::string>& allowed) {
   const ParamValue* value = find(key);
   if (value == nullptr) return;
-  const bool listed = allowed.empty() || std::count(allowed.begin(), allowed.end(), value->text) > 0;
+  const bool listed =
+      allowed.empty() || std::count(allowed.begin(), allowed.end(), value->text) > 0;
   if (value->kind != Kind::kString || value->text.empty() || !listed) {
-    throw ParameterError(key, value->toText(), allowed.empty() ? "a non-empty text" : "one of " + join(allowed));
+    throw ParameterError(key, value->toText(),
+                         allowed.empty() ? "a non-empty text" : "one of " + join(allowed));
   }
   *field = value->text;
 }
@@ -123,10 +139,12 @@ void ParamReader::read(const std::string& key, std::vector<std::string>* field) 
   }
 }
 
-void ParamReader::read(const std::string& key, std::map<std::string, double>* field, const Bounds& bounds) {
+void ParamReader::read(const std::string& key, std::map<std::string, double>* field,
+                       const Bounds& bounds) {
   const ParamValue* value = find(key);
   if (value == nullptr) return;
-  if (value->kind != Kind::kStruct) throw ParameterError(key, value->toText(), "a table from name to number");
+  if (value->kind != Kind::kStruct)
+    throw ParameterError(key, value->toText(), "a table from name to number");
   field->clear();
   for (const auto& member : value->members) {
     (*field)[member.first] = checkNumber(key + "/" + member.first, member.second, bounds);

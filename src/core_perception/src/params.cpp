@@ -8,7 +8,8 @@
 namespace core_perception {
 namespace {
 
-void requireBelow(const std::string& low_key, double low, const std::string& high_key, double high) {
+void requireBelow(const std::string& low_key, double low, const std::string& high_key,
+                  double high) {
   if (low < high) return;
   std::ostringstream got, allowed;
   got << low;
@@ -74,8 +75,10 @@ SemanticMapParams SemanticMapParams::fromReader(ParamReader* reader) {
   readVote(reader, &p.vote);
   readInstance(reader, &p.instance);
   // A window of more cells than this cannot be sent at the rate of the camera.
-  requireBelow("window_m", p.window_m, "1000 cells of resolution_m", 1000.0 * p.resolution_m + 1e-9);
-  requireBelow("range_max_m", p.range.range_max_m, "300 cells of resolution_m", 300.0 * p.resolution_m + 1e-9);
+  requireBelow("window_m", p.window_m, "1000 cells of resolution_m",
+               1000.0 * p.resolution_m + 1e-9);
+  requireBelow("range_max_m", p.range.range_max_m, "200 cells of resolution_m",
+               200.0 * p.resolution_m + 1e-9);
   return p;
 }
 

@@ -8,12 +8,12 @@
 namespace core_perception {
 namespace {
 
-constexpr double kMargin_m = 0.03;         // around the footprint, so that one seen edge-on has an inside
-constexpr int kFewestExpected = 4;         // pixels
+constexpr double kMargin_m = 0.03;  // around the footprint, so that one seen edge-on has an inside
+constexpr int kFewestExpected = 4;  // pixels
 constexpr double kFloorShare = 0.6;
-constexpr double kStandingShare = 0.05;    // of the expected pixels: stray points
+constexpr double kStandingShare = 0.05;  // of the expected pixels: stray points
 constexpr double kOtherShare = 0.9;
-constexpr int kMostPixels = 4000;          // more are thinned out
+constexpr int kMostPixels = 4000;  // more are thinned out
 
 Polygon grow(const Polygon& footprint) {
   std::vector<Point2> corners;
@@ -38,7 +38,8 @@ PlaceView PlaceProbe::look(const HeldInstance& held) const {
     const bool other = looked_for && seen.n_other >= kOtherShare * seen.n_standing;
     return other ? PlaceView::kOther : PlaceView::kOccupied;
   }
-  const bool empty = seen.n_expected >= kFewestExpected && seen.n_floor >= kFloorShare * seen.n_expected;
+  const bool empty =
+      seen.n_expected >= kFewestExpected && seen.n_floor >= kFloorShare * seen.n_expected;
   return empty ? PlaceView::kEmpty : PlaceView::kHidden;
 }
 
@@ -47,7 +48,8 @@ bool PlaceProbe::isInView(const Polygon& place) const {
   return std::all_of(place.begin(), place.end(), [&](const Point2& corner) {
     const Eigen::Vector3d pixel = projection_.project({corner.x, corner.y, range_.floor_z_m});
     return pixel.z() >= range_.range_min_m && pixel.z() <= range_.range_max_m && pixel.x() >= 0.0 &&
-           pixel.y() >= 0.0 && pixel.x() <= camera.width_px - 1 && pixel.y() <= camera.height_px - 1;
+           pixel.y() >= 0.0 && pixel.x() <= camera.width_px - 1 &&
+           pixel.y() <= camera.height_px - 1;
   });
 }
 
@@ -70,7 +72,8 @@ cv::Rect PlaceProbe::findPixels(const Polygon& place, double top_z_m) const {
 
 PlaceProbe::Owner PlaceProbe::findOwner(uint16_t label, const std::string& class_name) const {
   for (const LabelClass& listed : frame_.classes) {
-    if (listed.id == label && label != 0) return listed.class_name == class_name ? Owner::kOwn : Owner::kOther;
+    if (listed.id == label && label != 0)
+      return listed.class_name == class_name ? Owner::kSame : Owner::kOther;
   }
   return Owner::kNone;
 }
@@ -80,23 +83,27 @@ PlaceProbe::Evidence PlaceProbe::gather(const Polygon& place, const cv::Rect& pi
   Evidence evidence;
   Owner owner = Owner::kNone;
   uint16_t last_label = 0;
-  const int step = std::max(1, static_cast<int>(std::sqrt(static_cast<double>(pixels.area()) / kMostPixels)));
+  const int step =
+      std::max(1, static_cast<int>(std::sqrt(static_cast<double>(pixels.area()) / kMostPixels)));
   for (int v = pixels.y; v < pixels.y + pixels.height; v += step) {
     const uint16_t* labels = frame_.labels.ptr<uint16_t>(v);
     for (int u = pixels.x; u < pixels.x + pixels.width; u += step) {
-      if (u == pixels.x || labels[u] != last_label) owner = findOwner(last_label = labels[u], class_name);
+      if (u == pixels.x || labels[u] != last_label)
+        owner = findOwner(last_label = labels[u], class_name);
       judgePixel(place, u, v, owner, &evidence);
     }
   }
   return evidence;
 }
 
-void PlaceProbe::judgePixel(const Polygon& place, int u, int v, Owner owner, Evidence* evidence) const {
+void PlaceProbe::judgePixel(const Polygon& place, int u, int v, Owner owner,
+                            Evidence* evidence) const {
   const Eigen::Vector3d& camera = projection_.p_map_camera();
   const Eigen::Vector3f ray = projection_.ray(u, v);
   if (ray.z() < 0.0f) {
     const float floor_depth_m = -projection_.camera_height_m() / ray.z();
-    if (contains(place, {camera.x() + ray.x() * floor_depth_m, camera.y() + ray.y() * floor_depth_m})) {
+    if (contains(place,
+                 {camera.x() + ray.x() * floor_depth_m, camera.y() + ray.y() * floor_depth_m})) {
       ++evidence->n_expected;
     }
   }
@@ -104,7 +111,8 @@ void PlaceProbe::judgePixel(const Polygon& place, int u, int v, Owner owner, Evi
   if (depth_m <= 0.0f) return;
   if (!contains(place, {camera.x() + ray.x() * depth_m, camera.y() + ray.y() * depth_m})) return;
   const float height_m = projection_.camera_height_m() + ray.z() * depth_m;
-  if (owner == Owner::kOwn || (height_m >= projection_.metricHeight(depth_m) && height_m <= range_.band_max_z_m)) {
+  if (owner == Owner::kSame ||
+      (height_m >= projection_.metricHeight(depth_m) && height_m <= range_.band_max_z_m)) {
     ++evidence->n_standing;
     if (owner == Owner::kOther) ++evidence->n_other;
   } else if (height_m >= range_.band_min_z_m && height_m <= range_.band_max_z_m) {

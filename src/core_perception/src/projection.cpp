@@ -1,26 +1,9 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "core_perception/projection.h"
 
-#include <algorithm>
 #include <cmath>
 
 namespace core_perception {
-namespace {
-
-/// Length of the longest ray per metre of depth.
-double computeLongestRay(const Camera& c) {
-  double longest = 0.0;
-  for (const double u : {0.0, c.width_px - 1.0}) {
-    for (const double v : {0.0, c.height_px - 1.0}) {
-      const double x = (u - c.cx_px) / c.fx_px, y = (v - c.cy_px) / c.fy_px;
-      longest = std::max(longest, std::sqrt(x * x + y * y + 1.0));
-    }
-  }
-  return longest;
-}
-
-}  // namespace
-
 Projection::Projection(const Frame& frame, const RangeParams& range)
     : camera_(frame.camera),
       R_map_camera_(frame.T_map_camera.linear()),
@@ -30,7 +13,8 @@ Projection::Projection(const Frame& frame, const RangeParams& range)
       range_max_m_(static_cast<float>(range.range_max_m)),
       metric_min_height_m_(static_cast<float>(range.metric_min_height_m)),
       metric_slope_(static_cast<float>(range.metric_slope)),
-      edge_factor_(range.depth_edge_ratio > 0.0 ? static_cast<float>(1.0 - range.depth_edge_ratio) : 0.0f),
+      edge_factor_(range.depth_edge_ratio > 0.0 ? static_cast<float>(1.0 - range.depth_edge_ratio)
+                                                : 0.0f),
       reach_m_(range.range_max_m * computeLongestRay(camera_)) {
   ray_x_.reserve(camera_.width_px);
   ray_y_.reserve(camera_.height_px);
@@ -45,7 +29,8 @@ Projection::Projection(const Frame& frame, const RangeParams& range)
 
 Eigen::Vector3d Projection::project(const Eigen::Vector3d& p_map) const {
   const Eigen::Vector3d p = R_map_camera_.transpose() * (p_map - p_map_camera_);
-  return {camera_.fx_px * p.x() / p.z() + camera_.cx_px, camera_.fy_px * p.y() / p.z() + camera_.cy_px, p.z()};
+  return {camera_.fx_px * p.x() / p.z() + camera_.cx_px,
+          camera_.fy_px * p.y() / p.z() + camera_.cy_px, p.z()};
 }
 
 }  // namespace core_perception

@@ -14,8 +14,9 @@ GridComposer::GridComposer(const SemanticMapParams& params) : params_(params) {
   grid_.unknown_is_unsafe = params.unknown_is_unsafe;
 }
 
-const SafetyGrid& GridComposer::compose(const VoteMap& votes, const CauseTable& causes, const InitialDisc& disc,
-                                        const std::vector<Region>& regions, const Point2& robot) {
+const SafetyGrid& GridComposer::compose(const VoteMap& votes, const CauseTable& causes,
+                                        const InitialDisc& disc, const std::vector<Region>& regions,
+                                        const Point2& robot) {
   moveWindow(robot);
   fillFromVotes(votes, causes, disc);
   for (const Region& region : regions) paintRegion(region);
@@ -24,8 +25,10 @@ const SafetyGrid& GridComposer::compose(const VoteMap& votes, const CauseTable& 
 }
 
 void GridComposer::moveWindow(const Point2& robot) {
-  grid_.frame.origin.x = static_cast<int>(std::floor(robot.x / params_.resolution_m)) - grid_.frame.width / 2;
-  grid_.frame.origin.y = static_cast<int>(std::floor(robot.y / params_.resolution_m)) - grid_.frame.height / 2;
+  grid_.frame.origin.x =
+      static_cast<int>(std::floor(robot.x / params_.resolution_m)) - grid_.frame.width / 2;
+  grid_.frame.origin.y =
+      static_cast<int>(std::floor(robot.y / params_.resolution_m)) - grid_.frame.height / 2;
   const size_t n = static_cast<size_t>(grid_.frame.width) * grid_.frame.height;
   grid_.n_safe.assign(n, 0);
   grid_.n_unsafe.assign(n, 0);
@@ -41,9 +44,11 @@ uint16_t GridComposer::addCause(const Cause& cause) {
   return static_cast<uint16_t>(grid_.causes.size() - 1);
 }
 
-void GridComposer::fillFromVotes(const VoteMap& votes, const CauseTable& causes, const InitialDisc& disc) {
+void GridComposer::fillFromVotes(const VoteMap& votes, const CauseTable& causes,
+                                 const InitialDisc& disc) {
   const GridFrame& frame = grid_.frame;
-  const uint16_t unknown = params_.unknown_is_unsafe ? addCause(Cause{kUnknownRule, "", 0}) : kNoCause;
+  const uint16_t unknown =
+      params_.unknown_is_unsafe ? addCause(Cause{kUnknownRule, "", 0}) : kNoCause;
   cause_numbers_.assign(causes.size(), kNoCause);
   for (int y = 0; y < frame.height; ++y) {
     for (int x = 0; x < frame.width; ++x) {
@@ -74,8 +79,9 @@ void GridComposer::paintRegion(const Region& region) {
   if (region.slow) {
     const float none = std::numeric_limits<float>::quiet_NaN();
     if (grid_.speed_cap_mps.empty()) grid_.speed_cap_mps.assign(grid_.state.size(), none);
-    forEachCell(region, grid_.frame,
-                [this](size_t i) { grid_.speed_cap_mps[i] = static_cast<float>(params_.slow_speed_mps); });
+    forEachCell(region, grid_.frame, [this](size_t i) {
+      grid_.speed_cap_mps[i] = static_cast<float>(params_.slow_speed_mps);
+    });
     return;
   }
   const uint16_t cause = addCause(region.cause);
@@ -98,8 +104,9 @@ void GridComposer::measure() {
   }
   if (mask == measured_) return;  // no cell of the window changed sides
   const bool centre = params_.distance == "centre";
-  grid_.h_m = computeSignedDistance(mask, params_.resolution_m,
-                                    centre ? DistanceConvention::kCentre : DistanceConvention::kBorder);
+  grid_.h_m =
+      computeSignedDistance(mask, params_.resolution_m,
+                            centre ? DistanceConvention::kCentre : DistanceConvention::kBorder);
   measured_ = std::move(mask);
 }
 

@@ -21,8 +21,9 @@ SemanticMap::SemanticMap(const SemanticMapParams& params)
 
 const SafetyGrid& SemanticMap::update(const Frame& frame, const Constraints& constraints) {
   checkFrame(frame);
-  const bool vote = constraints.inForce();
-  const std::vector<Predicate> predicates = vote ? constraints.predicates : std::vector<Predicate>();
+  const bool vote = constraints.isActive();
+  const std::vector<Predicate> predicates =
+      vote ? constraints.predicates : std::vector<Predicate>();
   if (!has_disc_) disc_ = InitialDisc{frame.p_map_base, params_.initial_disc_radius_m};
   has_disc_ = true;
 
@@ -33,17 +34,19 @@ const SafetyGrid& SemanticMap::update(const Frame& frame, const Constraints& con
   if (vote && params_.usesImageOperators()) {
     sets = computeImageSets(frame.labels, frame.classes, predicates, params_.kernel_px);
     rule_causes_.clear();
-    for (const Predicate& p : predicates) rule_causes_.push_back(causes_.intern(formatRule(p), p.class_name));
+    for (const Predicate& p : predicates)
+      rule_causes_.push_back(causes_.intern(formatRule(p), p.class_name));
   }
   collect(frame, projection, sets, vote);
   if (vote) {
     votes_.add(frame_votes_);
     if (params_.vote.free_space_clearing) {
-      clearSeenThrough(metres_, projection, frame_votes_, findReach(projection), params_.resolution_m, &votes_);
+      clearSeenThrough(metres_, projection, frame_votes_, findReach(projection), &votes_);
     }
   }
   for (const Predicate& predicate : predicates) {
-    if (predicate.spatial_operator == SpatialOperator::kOn) memory_.forgetClass(predicate.class_name);
+    if (predicate.spatial_operator == SpatialOperator::kOn)
+      memory_.forgetClass(predicate.class_name);
   }
   std::vector<std::string> class_names;
   for (const LabelClass& label : frame.classes) class_names.push_back(label.class_name);
@@ -57,7 +60,8 @@ const SafetyGrid& SemanticMap::update(const Frame& frame, const Constraints& con
   return composer_.compose(votes_, causes_, disc_, regions, frame.p_map_base);
 }
 
-void SemanticMap::collect(const Frame& frame, const Projection& projection, const ImageSets& sets, bool vote) {
+void SemanticMap::collect(const Frame& frame, const Projection& projection, const ImageSets& sets,
+                          bool vote) {
   camera_height_m_ = projection.camera_height_m();
   p_map_camera_ = projection.p_map_camera();
   frame_votes_.start(p_map_camera_, projection.reach_m());
@@ -65,7 +69,8 @@ void SemanticMap::collect(const Frame& frame, const Projection& projection, cons
   projection.forEachPoint(metres_, [&](const PixelPoint& point) {
     const LabelMeaning& meaning = meanings_[frame.labels.ptr<uint16_t>(point.v)[point.u]];
     const float height_m = camera_height_m_ + point.dz_m;
-    if (meaning.instance_slot >= 0) collectInstancePoint(point, height_m, meaning.instance_slot, projection);
+    if (meaning.instance_slot >= 0)
+      collectInstancePoint(point, height_m, meaning.instance_slot, projection);
     if (vote) votePoint(point, height_m, meaning, sets);
   });
 }
@@ -81,10 +86,11 @@ void SemanticMap::collectInstancePoint(const PixelPoint& point, float height_m, 
 
 void SemanticMap::votePoint(const PixelPoint& point, float height_m, const LabelMeaning& meaning,
                             const ImageSets& sets) {
-  const auto metric_height_m =
-      static_cast<float>(params_.range.metric_min_height_m + params_.range.metric_slope * point.depth_m);
+  const auto metric_height_m = static_cast<float>(params_.range.metric_min_height_m +
+                                                  params_.range.metric_slope * point.depth_m);
   const bool metric_layer = params_.vote.metric_layer;
-  // In profile core all floor-level points vote in the layer of the floor: noise must not spread them over two layers.
+  // In profile core all floor-level points vote in the layer of the floor: noise must not spread
+  // them over two layers.
   const bool floor_level =
       metric_layer && height_m >= params_.range.band_min_z_m && height_m < metric_height_m;
   VoxelTally* tally = floor_level ? frame_votes_.touchLayer(point.dx_m, point.dy_m, floor_layer_)
@@ -109,7 +115,8 @@ ColumnRange SemanticMap::findReach(const Projection& projection) const {
   };
   const Eigen::Vector3d& p = projection.p_map_camera();
   const double reach_m = projection.reach_m();
-  return {toIndex(p.x() - reach_m), toIndex(p.y() - reach_m), toIndex(p.x() + reach_m), toIndex(p.y() + reach_m)};
+  return {toIndex(p.x() - reach_m), toIndex(p.y() - reach_m), toIndex(p.x() + reach_m),
+          toIndex(p.y() + reach_m)};
 }
 
 void SemanticMap::clear() {

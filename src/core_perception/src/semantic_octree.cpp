@@ -59,7 +59,8 @@ SemanticOcTreeNode* SemanticOcTree::touch(const octomap::OcTreeKey& key) {
   unsigned depth = 0;
   if (path_valid_) {
     // The common path ends above the highest bit in which the keys differ.
-    unsigned differing = (key[0] ^ last_key_[0]) | (key[1] ^ last_key_[1]) | (key[2] ^ last_key_[2]);
+    unsigned differing =
+        (key[0] ^ last_key_[0]) | (key[1] ^ last_key_[1]) | (key[2] ^ last_key_[2]);
     for (depth = kDepth; differing != 0; differing >>= 1) --depth;
   }
   path_[0] = root;
@@ -68,7 +69,8 @@ SemanticOcTreeNode* SemanticOcTree::touch(const octomap::OcTreeKey& key) {
     const unsigned child = octomap::computeChildIdx(key, static_cast<int>(kDepth - 1 - depth));
     if (!nodeChildExists(node, child)) {
       // A leaf with votes above the last level stands for all it covers.
-      const bool pruned_leaf = !nodeHasChildren(node) && (node->n_safe() > 0 || node->n_unsafe() > 0);
+      const bool pruned_leaf =
+          !nodeHasChildren(node) && (node->n_safe() > 0 || node->n_unsafe() > 0);
       if (pruned_leaf) {
         expandNode(node);
       } else {

@@ -42,7 +42,8 @@ class Envelope {
     double border = -kInfinity;
     while (count_ > 0) {
       const int p = vertices_[count_ - 1];
-      border = ((f[q] + static_cast<double>(q) * q) - (f[p] + static_cast<double>(p) * p)) / (2.0 * (q - p));
+      border = ((f[q] + static_cast<double>(q) * q) - (f[p] + static_cast<double>(p) * p)) /
+               (2.0 * (q - p));
       if (border > borders_[count_ - 1]) break;
       --count_;
       border = -kInfinity;
@@ -70,7 +71,8 @@ std::vector<double> scanColumns(const Mask& mask, uint8_t target) {
   return steps;
 }
 
-/// Squared distance in cells from every centre to the nearest square or centre of a cell of this value.
+/// Squared distance in cells from every centre to the nearest square or centre of a cell of this
+/// value.
 std::vector<double> transform(const Mask& mask, uint8_t target, DistanceConvention convention) {
   const bool border = convention == DistanceConvention::kBorder;
   const int w = mask.width;
@@ -79,7 +81,8 @@ std::vector<double> transform(const Mask& mask, uint8_t target, DistanceConventi
     const double reach = border ? std::max(0.0, c - 0.5) : c;
     c = reach * reach;
   }
-  // In kBorder samples lie half a cell apart: edge, centre, edge, ... ; an edge belongs to both cells it separates.
+  // In kBorder samples lie half a cell apart: edge, centre, edge, ... ; an edge belongs to both
+  // cells it separates.
   const int n_samples = border ? 2 * w + 1 : w;
   const double unit2 = border ? 4.0 : 1.0;  // squared samples in a cell
   std::vector<double> f(n_samples), row(w);
@@ -110,7 +113,8 @@ double measureToOutside(const Mask& mask, int x, int y, DistanceConvention conve
 
 }  // namespace
 
-std::vector<float> computeSignedDistance(const Mask& mask, double resolution_m, DistanceConvention convention) {
+std::vector<float> computeSignedDistance(const Mask& mask, double resolution_m,
+                                         DistanceConvention convention) {
   const std::vector<double> to_unsafe = transform(mask, 1, convention);
   const std::vector<double> to_safe = transform(mask, 0, convention);
   const double diagonal = std::hypot(mask.width, mask.height);
@@ -120,7 +124,8 @@ std::vector<float> computeSignedDistance(const Mask& mask, double resolution_m, 
       const size_t i = static_cast<size_t>(y) * mask.width + x;
       const bool unsafe = mask.unsafe[i] != 0;
       double cells = std::min(diagonal, std::sqrt(unsafe ? to_safe[i] : to_unsafe[i]));
-      if (!unsafe && mask.outside_unsafe) cells = std::min(cells, measureToOutside(mask, x, y, convention));
+      if (!unsafe && mask.outside_unsafe)
+        cells = std::min(cells, measureToOutside(mask, x, y, convention));
       h[i] = static_cast<float>((unsafe ? -cells : cells) * resolution_m);
     }
   }

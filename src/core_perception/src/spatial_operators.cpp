@@ -26,7 +26,8 @@ std::vector<cv::Point> findRowExtremes(const cv::Mat& mask) {
 
 }  // namespace
 
-cv::Mat selectClass(const cv::Mat& labels, const std::vector<LabelClass>& classes, const std::string& class_name) {
+cv::Mat selectClass(const cv::Mat& labels, const std::vector<LabelClass>& classes,
+                    const std::string& class_name) {
   std::vector<uint8_t> lut(65536, 0);
   for (const LabelClass& label : classes) {
     if (label.class_name == class_name && label.id != 0) lut[label.id] = 255;
@@ -49,7 +50,8 @@ cv::Mat dilateAround(const cv::Mat& mask, int kernel_px) {
   box -= cv::Point(kernel_px, kernel_px);
   box += cv::Size(2 * kernel_px, 2 * kernel_px);
   box &= cv::Rect(0, 0, mask.cols, mask.rows);
-  const cv::Mat kernel = cv::getStructuringElement(cv::MORPH_ELLIPSE, cv::Size(kernel_px, kernel_px));
+  const cv::Mat kernel =
+      cv::getStructuringElement(cv::MORPH_ELLIPSE, cv::Size(kernel_px, kernel_px));
   cv::Mat part;
   cv::dilate(mask(box), part, kernel);
   part.copyTo(result(box));
@@ -66,13 +68,16 @@ cv::Mat fillBetween(const cv::Mat& mask) {
   return result;
 }
 
-cv::Mat applyOperator(const Predicate& predicate, const cv::Mat& labels, const std::vector<LabelClass>& classes,
-                      int kernel_px) {
+cv::Mat applyOperator(const Predicate& predicate, const cv::Mat& labels,
+                      const std::vector<LabelClass>& classes, int kernel_px) {
   const cv::Mat mask = selectClass(labels, classes, predicate.class_name);
   switch (predicate.spatial_operator) {
-    case SpatialOperator::kAround: return dilateAround(mask, kernel_px);
-    case SpatialOperator::kBetween: return fillBetween(mask);
-    default: return mask;
+    case SpatialOperator::kAround:
+      return dilateAround(mask, kernel_px);
+    case SpatialOperator::kBetween:
+      return fillBetween(mask);
+    default:
+      return mask;
   }
 }
 

@@ -17,26 +17,33 @@ bool makeKey(const VoxelIndex& voxel, octomap::OcTreeKey* key) {
   return true;
 }
 
-int floorTo(int value, int step) { return value >= 0 ? value / step : -((step - 1 - value) / step); }
+int floorTo(int value, int step) {
+  return value >= 0 ? value / step : -((step - 1 - value) / step);
+}
 
 uint64_t makeTileKey(int tile_x, int tile_y) {
-  return (static_cast<uint64_t>(static_cast<uint32_t>(tile_x)) << 32) | static_cast<uint32_t>(tile_y);
+  return (static_cast<uint64_t>(static_cast<uint32_t>(tile_x)) << 32) |
+         static_cast<uint32_t>(tile_y);
 }
 
 }  // namespace
 
 VoteMap::VoteMap(double resolution_m, const RangeParams& range, const VoteParams& vote)
     : vote_(vote),
-      band_min_(static_cast<int>(std::floor((range.floor_z_m + range.band_min_z_m) / resolution_m))),
+      band_min_(
+          static_cast<int>(std::floor((range.floor_z_m + range.band_min_z_m) / resolution_m))),
       // A voxel whose lower face lies at the top of the band does not reach into it.
-      band_max_(static_cast<int>(std::ceil((range.floor_z_m + range.band_max_z_m) / resolution_m - 1e-9)) - 1),
+      band_max_(static_cast<int>(
+                    std::ceil((range.floor_z_m + range.band_max_z_m) / resolution_m - 1e-9)) -
+                1),
       tree_(resolution_m) {}
 
 void VoteMap::add(const FrameVotes& votes) {
   ++frame_;
   ++version_;
   derived_.clear();
-  for (const uint32_t touched : votes.touched()) addToVoxel(votes.indexOf(touched), votes.tally(touched));
+  for (const uint32_t touched : votes.touched())
+    addToVoxel(votes.indexOf(touched), votes.tally(touched));
   for (const VoxelIndex& column : derived_) deriveWorst(column.x, column.y);
 }
 

@@ -21,7 +21,8 @@ struct Cylinder {
   double bottom_m = 0.0, top_m = 0.7;
 };
 
-/// Floor and cylinders, rendered exactly by formula; the camera of the demo robot, 0.65 m up and 0.25 rad down.
+/// Floor and cylinders, rendered exactly by formula; the camera of the demo robot, 0.65 m up and
+/// 0.25 rad down.
 struct Scene {
   std::vector<Cylinder> cylinders;
 
@@ -40,7 +41,8 @@ struct Scene {
       frame.classes_evaluated.push_back(cylinders[i].class_name);
     }
     const float nothing = std::numeric_limits<float>::quiet_NaN();
-    frame.depth = cv::Mat(frame.camera.height_px, frame.camera.width_px, CV_32FC1, cv::Scalar(nothing));
+    frame.depth =
+        cv::Mat(frame.camera.height_px, frame.camera.width_px, CV_32FC1, cv::Scalar(nothing));
     frame.labels = cv::Mat::zeros(frame.camera.height_px, frame.camera.width_px, CV_16UC1);
     for (int v = 0; v < frame.depth.rows; ++v) {
       for (int u = 0; u < frame.depth.cols; ++u) shade(u, v, &frame);
@@ -65,7 +67,8 @@ struct Scene {
   void shade(int u, int v, Frame* frame) const {
     const Camera& c = frame->camera;
     const Eigen::Vector3d d =
-        frame->T_map_camera.linear() * Eigen::Vector3d((u - c.cx_px) / c.fx_px, (v - c.cy_px) / c.fy_px, 1.0);
+        frame->T_map_camera.linear() *
+        Eigen::Vector3d((u - c.cx_px) / c.fx_px, (v - c.cy_px) / c.fy_px, 1.0);
     const Eigen::Vector3d o = frame->T_map_camera.translation();
     double best = d.z() < 0.0 ? -o.z() / d.z() : std::numeric_limits<double>::infinity();
     uint16_t label = 1;
@@ -99,8 +102,8 @@ struct Scene {
   }
 };
 
-inline Predicate makePredicate(SpatialOperator spatial_operator, const std::string& class_name, Verdict verdict,
-                               double radius_m = 0.0) {
+inline Predicate makePredicate(SpatialOperator spatial_operator, const std::string& class_name,
+                               Verdict verdict, double radius_m = 0.0) {
   Predicate predicate;
   predicate.spatial_operator = spatial_operator;
   predicate.class_name = class_name;
@@ -113,9 +116,10 @@ inline Predicate makePredicate(SpatialOperator spatial_operator, const std::stri
 inline Constraints makeConeRules() {
   Constraints constraints;
   constraints.image_stamp_s = 0.5;
-  constraints.predicates = {makePredicate(SpatialOperator::kOn, "floor", Verdict::kSafe),
-                            makePredicate(SpatialOperator::kNear, "traffic_cone", Verdict::kUnsafe),
-                            makePredicate(SpatialOperator::kBetween, "traffic_cone", Verdict::kUnsafe)};
+  constraints.predicates = {
+      makePredicate(SpatialOperator::kOn, "floor", Verdict::kSafe),
+      makePredicate(SpatialOperator::kNear, "traffic_cone", Verdict::kUnsafe),
+      makePredicate(SpatialOperator::kBetween, "traffic_cone", Verdict::kUnsafe)};
   return constraints;
 }
 

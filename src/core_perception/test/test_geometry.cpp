@@ -12,7 +12,8 @@
 namespace core_perception {
 namespace {
 
-HeldInstance makeHeld(uint32_t id, const Point2& centre, double edge_m = 0.3, const std::string& name = "cone") {
+HeldInstance makeHeld(uint32_t id, const Point2& centre, double edge_m = 0.3,
+                      const std::string& name = "cone") {
   HeldInstance held;
   held.id = held.cluster = id;
   held.class_name = name;
@@ -65,8 +66,8 @@ TEST(Geometry, simplified_hull_keeps_the_number_of_corners_and_most_of_the_area)
 }
 
 TEST(Regions, cluster_is_single_link_within_one_class) {
-  std::vector<HeldInstance> all{makeHeld(1, {0, 0}), makeHeld(2, {2, 0}), makeHeld(3, {4, 0}), makeHeld(4, {9, 0}),
-                                makeHeld(5, {1, 0}, 0.3, "box")};
+  std::vector<HeldInstance> all{makeHeld(1, {0, 0}), makeHeld(2, {2, 0}), makeHeld(3, {4, 0}),
+                                makeHeld(4, {9, 0}), makeHeld(5, {1, 0}, 0.3, "box")};
   all.push_back(makeHeld(6, {0, 1}));
   all.back().confirmed = false;
   labelClusters(2.5, &all);
@@ -87,7 +88,9 @@ TEST(Regions, between_is_as_thick_as_asked_even_for_objects_in_a_line) {
 }
 
 TEST(Regions, one_object_has_nothing_between) {
-  EXPECT_TRUE(buildRegions({makeHeld(1, {0, 0})}, {unsafe(SpatialOperator::kBetween)}, InstanceParams(), 0.2).empty());
+  EXPECT_TRUE(buildRegions({makeHeld(1, {0, 0})}, {unsafe(SpatialOperator::kBetween)},
+                           InstanceParams(), 0.2)
+                  .empty());
 }
 
 TEST(Regions, radius_comes_from_predicate_then_class_then_default) {
@@ -105,8 +108,10 @@ TEST(Regions, radius_comes_from_predicate_then_class_then_default) {
 TEST(Regions, extended_object_is_surrounded_cell_by_cell_and_its_hull_is_no_footprint) {
   HeldInstance wall = makeHeld(1, {0, 0}, 6.0);
   wall.cells = {{0, 0}, {0, 1}};
-  EXPECT_TRUE(buildRegions({wall}, {unsafe(SpatialOperator::kNear)}, InstanceParams(), 0.2).empty());
-  const auto around = buildRegions({wall}, {unsafe(SpatialOperator::kAround)}, InstanceParams(), 0.2);
+  EXPECT_TRUE(
+      buildRegions({wall}, {unsafe(SpatialOperator::kNear)}, InstanceParams(), 0.2).empty());
+  const auto around =
+      buildRegions({wall}, {unsafe(SpatialOperator::kAround)}, InstanceParams(), 0.2);
   ASSERT_EQ(around.size(), 1u);
   EXPECT_EQ(around[0].parts.size(), 2u);
 }
@@ -127,7 +132,8 @@ TEST(Regions, cells_are_those_whose_square_reaches_into_the_region) {
     std::set<size_t> visited;
     forEachCell(region, grid, [&](size_t i) { visited.insert(i); });
     for (size_t i = 0; i < 1600; ++i) {
-      const Point2 centre{(static_cast<int>(i % 40) - 20 + 0.5) * 0.2, (static_cast<int>(i / 40) - 20 + 0.5) * 0.2};
+      const Point2 centre{(static_cast<int>(i % 40) - 20 + 0.5) * 0.2,
+                          (static_cast<int>(i / 40) - 20 + 0.5) * 0.2};
       const double gap = computeDistance(makeSquare(centre, 0.2), region.parts[0]);
       if (std::abs(gap - region.radius_m) < 1e-9) continue;  // on the border either answer is right
       EXPECT_EQ(visited.count(i), gap < region.radius_m ? 1u : 0u);

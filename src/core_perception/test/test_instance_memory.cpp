@@ -1,19 +1,20 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include "core_perception/instance_memory.h"
-
 #include <gtest/gtest.h>
 
+#include "core_perception/instance_memory.h"
 #include "core_perception/place_probe.h"
 #include "scene.h"
 
 namespace core_perception {
 namespace {
 
-Detection makeDetection(const Point2& centre, double edge_m = 0.3, const std::string& name = "cone") {
+Detection makeDetection(const Point2& centre, double edge_m = 0.3,
+                        const std::string& name = "cone") {
   Detection detection;
   detection.class_name = name;
   detection.footprint = makeSquare(centre, edge_m);
-  detection.cells = {{static_cast<int>(std::floor(centre.x / 0.2)), static_cast<int>(std::floor(centre.y / 0.2))}};
+  detection.cells = {
+      {static_cast<int>(std::floor(centre.x / 0.2)), static_cast<int>(std::floor(centre.y / 0.2))}};
   detection.z_max_m = 0.7;
   detection.n_points = 100;
   return detection;
@@ -70,7 +71,8 @@ TEST(InstanceMemory, is_confirmed_by_the_second_sighting_whatever_lies_between) 
 
 TEST(InstanceMemory, tells_neighbours_of_one_class_apart_and_keeps_their_numbers) {
   InstanceMemory memory{InstanceParams()};
-  const Detection a = makeDetection({3, 0}), b = makeDetection({3, 0.6}), other = makeDetection({3, 0}, 0.3, "box");
+  const Detection a = makeDetection({3, 0}), b = makeDetection({3, 0.6}),
+                  other = makeDetection({3, 0}, 0.3, "box");
   memory.update(1.0, {a, b, other}, hidden);
   ASSERT_EQ(memory.instances().size(), 3u);
   for (int k = 0; k < 5; ++k) memory.update(2.0, {other, b, a}, hidden);  // labels in another order
@@ -84,7 +86,8 @@ TEST(InstanceMemory, tells_neighbours_of_one_class_apart_and_keeps_their_numbers
 TEST(InstanceMemory, footprint_is_the_hull_of_all_views_but_bounded_for_a_small_object) {
   const InstanceParams params;
   InstanceMemory memory{params};
-  for (int k = 0; k <= 40; ++k) memory.update(1.0 + k, {makeDetection({3.0 + 0.1 * k, 0})}, hidden);  // it moves
+  for (int k = 0; k <= 40; ++k)
+    memory.update(1.0 + k, {makeDetection({3.0 + 0.1 * k, 0})}, hidden);  // it moves
   ASSERT_EQ(memory.instances().size(), 1u);
   const HeldInstance& held = memory.instances()[0];
   EXPECT_LE(computeDiameter(held.footprint), 0.3 * std::sqrt(2.0) + params.footprint_slack_m);

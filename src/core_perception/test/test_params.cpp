@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include "core_perception/params.h"
-
 #include <gtest/gtest.h>
 
 #include <limits>
 
 #include "core_perception/exceptions.h"
+#include "core_perception/params.h"
 
 namespace core_perception {
 namespace {
@@ -42,10 +41,11 @@ TEST(Params, nothing_given_is_profile_core) {
 }
 
 TEST(Params, given_values_are_taken_and_integers_are_numbers) {
-  const NodeParams p = NodeParams::fromMap({{"window_m", ParamValue::ofInt(10)},
-                                            {"lockstep", ParamValue::ofBool(true)},
-                                            {"surface_classes", makeList({ParamValue::ofString("ice")})},
-                                            {"class_radius_m", makeTable({{"person", ParamValue::ofDouble(1.2)}})}});
+  const NodeParams p =
+      NodeParams::fromMap({{"window_m", ParamValue::ofInt(10)},
+                           {"lockstep", ParamValue::ofBool(true)},
+                           {"surface_classes", makeList({ParamValue::ofString("ice")})},
+                           {"class_radius_m", makeTable({{"person", ParamValue::ofDouble(1.2)}})}});
   EXPECT_DOUBLE_EQ(p.map.window_m, 10.0);
   EXPECT_TRUE(p.lockstep);
   EXPECT_EQ(p.map.instance.surface_classes, std::vector<std::string>{"ice"});

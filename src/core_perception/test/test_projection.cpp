@@ -1,18 +1,17 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include "core_perception/projection.h"
-
 #include <gtest/gtest.h>
 
 #include <set>
 
 #include "core_perception/frame_votes.h"
+#include "core_perception/projection.h"
 #include "scene.h"
 
 namespace core_perception {
 namespace {
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
-constexpr float kInf = std::numeric_limits<float>::infinity();
+constexpr float kInfinite = std::numeric_limits<float>::infinity();
 
 Frame makeFrame(const cv::Mat& depth) {
   Frame frame;
@@ -54,7 +53,8 @@ TEST(Projection, agrees_with_the_pinhole_equations) {
 TEST(Projection, depth_that_is_none_or_out_of_range_is_discarded) {
   RangeParams range;
   range.depth_edge_ratio = 0.0;
-  const cv::Mat depth = (cv::Mat_<float>(1, 9) << kNan, 0.0f, kInf, -kInf, -2.0f, 0.29f, 0.3f, 7.0f, 7.001f);
+  const cv::Mat depth = (cv::Mat_<float>(1, 9) << kNan, 0.0f, kInfinite, -kInfinite, -2.0f, 0.29f,
+                         0.3f, 7.0f, 7.001f);
   EXPECT_EQ(collectColumns(makeFrame(depth), range), (std::set<int>{6, 7}));
   const cv::Mat mm = (cv::Mat_<uint16_t>(1, 5) << 0, 299, 301, 6999, 7001);
   EXPECT_EQ(collectColumns(makeFrame(mm), range), (std::set<int>{2, 3}));
@@ -93,7 +93,8 @@ TEST(Projection, whole_reach_of_the_camera_fits_the_scratch_volume) {
 TEST(Projection, scaled_intrinsics_see_the_same_rays) {
   const Camera half = scaleCamera(Scene::camera(), 250, 160);
   const Camera full = Scene::camera();
-  // The centre of pixel 10 of the half image is the corner between pixels 20 and 21 of the full one.
+  // The centre of pixel 10 of the half image is the corner between pixels 20 and 21 of the full
+  // one.
   EXPECT_NEAR((10 - half.cx_px) / half.fx_px, (20.5 - full.cx_px) / full.fx_px, 1e-12);
   EXPECT_NEAR((7 - half.cy_px) / half.fy_px, (14.5 - full.cy_px) / full.fy_px, 1e-12);
 }

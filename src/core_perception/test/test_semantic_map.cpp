@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include "core_perception/semantic_map.h"
-
 #include <gtest/gtest.h>
 
 #include "core_perception/exceptions.h"
+#include "core_perception/semantic_map.h"
 #include "scene.h"
 
 namespace core_perception {
@@ -18,7 +17,9 @@ size_t indexAt(const SafetyGrid& grid, double x_m, double y_m) {
   return static_cast<size_t>(y) * grid.frame.width + x;
 }
 
-CellState stateAt(const SafetyGrid& grid, double x_m, double y_m) { return grid.state[indexAt(grid, x_m, y_m)]; }
+CellState stateAt(const SafetyGrid& grid, double x_m, double y_m) {
+  return grid.state[indexAt(grid, x_m, y_m)];
+}
 
 std::string ruleAt(const SafetyGrid& grid, double x_m, double y_m) {
   const uint16_t cause = grid.cause[indexAt(grid, x_m, y_m)];
@@ -45,7 +46,8 @@ SemanticMapParams makePaperParams() {
 TEST(SemanticMap, floor_is_safe_and_the_line_between_cones_is_not) {
   SemanticMap map{SemanticMapParams()};
   const Scene scene = makeConeLine();
-  for (int k = 1; k <= 3; ++k) map.update(scene.render(k * kPeriod_s, 0.0, 0.0, 0.0), makeConeRules());
+  for (int k = 1; k <= 3; ++k)
+    map.update(scene.render(k * kPeriod_s, 0.0, 0.0, 0.0), makeConeRules());
   const SafetyGrid& grid = map.grid();
   ASSERT_EQ(map.instances().size(), 5u);
   EXPECT_EQ(stateAt(grid, 3.0, 0.0), CellState::kSafe);
@@ -60,27 +62,33 @@ TEST(SemanticMap, floor_is_safe_and_the_line_between_cones_is_not) {
   EXPECT_LT(grid.h_m[indexAt(grid, 0.0, 3.0)], 0.0f);
 }
 
-TEST(SemanticMap, line_holds_while_the_cones_are_out_of_view_and_the_floor_between_them_is_in_view) {
+TEST(SemanticMap,
+     line_holds_while_the_cones_are_out_of_view_and_the_floor_between_them_is_in_view) {
   SemanticMap map{SemanticMapParams()};
   Scene two;
   two.cylinders = {{"traffic_cone", {5.0, -1.3}}, {"traffic_cone", {5.0, 1.3}}};
   double stamp_s = 0.0;
-  for (int k = 0; k < 5; ++k) map.update(two.render(stamp_s += kPeriod_s, 0.0, 0.0, 0.0), makeConeRules());
+  for (int k = 0; k < 5; ++k)
+    map.update(two.render(stamp_s += kPeriod_s, 0.0, 0.0, 0.0), makeConeRules());
   ASSERT_EQ(stateAt(map.grid(), 4.9, 0.0), CellState::kUnsafe);
-  // At x = 3.5 m the camera looks between the cones: both lie outside its image, the floor between them inside.
-  for (int k = 0; k < 50; ++k) map.update(two.render(stamp_s += kPeriod_s, 3.5, 0.0, 0.0), makeConeRules());
+  // At x = 3.5 m the camera looks between the cones: both lie outside its image, the floor between
+  // them inside.
+  for (int k = 0; k < 50; ++k)
+    map.update(two.render(stamp_s += kPeriod_s, 3.5, 0.0, 0.0), makeConeRules());
   ASSERT_EQ(map.instances().size(), 2u);
   EXPECT_FALSE(map.instances()[0].in_view || map.instances()[1].in_view);
   const SafetyGrid& grid = map.grid();
   EXPECT_GT(grid.n_safe[indexAt(grid, 4.9, 0.0)], 0u) << "the floor there was voted safe meanwhile";
-  for (double y = -1.3; y <= 1.3; y += 0.1) EXPECT_EQ(stateAt(grid, 4.9, y), CellState::kUnsafe) << y;
+  for (double y = -1.3; y <= 1.3; y += 0.1)
+    EXPECT_EQ(stateAt(grid, 4.9, y), CellState::kUnsafe) << y;
 }
 
 TEST(SemanticMap, votes_alone_lose_the_line_in_profile_paper) {
   SemanticMap map{makePaperParams()};
   const Scene scene = makeConeLine();
   double stamp_s = 0.0;
-  for (int k = 0; k < 5; ++k) map.update(scene.render(stamp_s += kPeriod_s, 0.0, 0.0, 0.0), makeConeRules());
+  for (int k = 0; k < 5; ++k)
+    map.update(scene.render(stamp_s += kPeriod_s, 0.0, 0.0, 0.0), makeConeRules());
   const SafetyGrid& grid = map.grid();
   EXPECT_EQ(stateAt(grid, 4.9, 0.0), CellState::kUnsafe);
   EXPECT_EQ(stateAt(grid, 3.9, 0.0), CellState::kSafe);
@@ -91,7 +99,8 @@ TEST(SemanticMap, votes_alone_lose_the_line_in_profile_paper) {
 TEST(SemanticMap, removed_cones_are_forgotten_once_their_places_are_seen_empty) {
   SemanticMap map{SemanticMapParams()};
   double stamp_s = 0.0;
-  for (int k = 0; k < 20; ++k) map.update(makeConeLine().render(stamp_s += kPeriod_s, 0, 0, 0), makeConeRules());
+  for (int k = 0; k < 20; ++k)
+    map.update(makeConeLine().render(stamp_s += kPeriod_s, 0, 0, 0), makeConeRules());
   ASSERT_EQ(map.instances().size(), 5u);
   Scene empty = makeConeLine();
   for (Cylinder& cone : empty.cylinders) cone.centre.x = 50.0;  // still asked for, no longer there
@@ -101,8 +110,10 @@ TEST(SemanticMap, removed_cones_are_forgotten_once_their_places_are_seen_empty) 
     ++frames;
   }
   EXPECT_EQ(frames, SemanticMapParams().instance.release_frames);
-  for (int k = 0; k < 15; ++k) map.update(empty.render(stamp_s += kPeriod_s, 0.0, 0.0, 0.0), makeConeRules());
-  for (double y = -2.0; y <= 2.0; y += 0.1) EXPECT_EQ(stateAt(map.grid(), 4.9, y), CellState::kSafe) << y;
+  for (int k = 0; k < 15; ++k)
+    map.update(empty.render(stamp_s += kPeriod_s, 0.0, 0.0, 0.0), makeConeRules());
+  for (double y = -2.0; y <= 2.0; y += 0.1)
+    EXPECT_EQ(stateAt(map.grid(), 4.9, y), CellState::kSafe) << y;
 }
 
 TEST(SemanticMap, obstacle_is_unsafe_whatever_the_predicates_say) {
@@ -130,7 +141,8 @@ TEST(SemanticMap, what_hangs_above_the_robot_does_not_mark_the_floor) {
 
 TEST(SemanticMap, nothing_is_voted_before_the_first_answer_but_objects_are_tracked) {
   SemanticMap map{SemanticMapParams()};
-  for (int k = 1; k <= 3; ++k) map.update(makeConeLine().render(k * kPeriod_s, 0.0, 0.0, 0.0), Constraints());
+  for (int k = 1; k <= 3; ++k)
+    map.update(makeConeLine().render(k * kPeriod_s, 0.0, 0.0, 0.0), Constraints());
   EXPECT_EQ(map.instances().size(), 5u);
   EXPECT_EQ(map.votes().tree().size(), 0u);
   EXPECT_EQ(stateAt(map.grid(), 3.0, 0.0), CellState::kUnknown);
@@ -140,9 +152,11 @@ TEST(SemanticMap, nothing_is_voted_before_the_first_answer_but_objects_are_track
 TEST(SemanticMap, safe_between_cancels_the_unsafe_one_and_makes_no_ground_safe) {
   SemanticMap map{SemanticMapParams()};
   Constraints rules = makeConeRules();
-  rules.predicates.push_back(makePredicate(SpatialOperator::kBetween, "traffic_cone", Verdict::kSafe));
+  rules.predicates.push_back(
+      makePredicate(SpatialOperator::kBetween, "traffic_cone", Verdict::kSafe));
   rules.predicates.erase(rules.predicates.begin());  // nor is the floor safe
-  for (int k = 1; k <= 3; ++k) map.update(makeConeLine().render(k * kPeriod_s, 0.0, 0.0, 0.0), rules);
+  for (int k = 1; k <= 3; ++k)
+    map.update(makeConeLine().render(k * kPeriod_s, 0.0, 0.0, 0.0), rules);
   EXPECT_EQ(stateAt(map.grid(), 4.9, 0.5), CellState::kUnsafe);
   EXPECT_EQ(ruleAt(map.grid(), 4.9, 0.5), kNotSafeRule);
 }
@@ -152,7 +166,8 @@ TEST(SemanticMap, slow_predicate_caps_the_speed_instead_of_closing_the_way) {
   Scene scene;
   scene.cylinders = {{"person", {4.0, 0.0}}};
   Constraints rules = makeConeRules();
-  rules.predicates.push_back(makePredicate(SpatialOperator::kAround, "person", Verdict::kUnsafe, 1.0));
+  rules.predicates.push_back(
+      makePredicate(SpatialOperator::kAround, "person", Verdict::kUnsafe, 1.0));
   rules.predicates.back().severity = Severity::kSlow;
   for (int k = 1; k <= 3; ++k) map.update(scene.render(k * kPeriod_s, 0.0, 0.0, 0.0), rules);
   const SafetyGrid& grid = map.grid();
@@ -168,13 +183,17 @@ TEST(SemanticMap, refused_frame_changes_nothing) {
   map.update(scene.render(0.1, 0.0, 0.0, 0.0), makeConeRules());
   const SafetyGrid before = map.grid();
   const size_t nodes = map.votes().tree().size();
-  std::vector<Frame> bad(6, scene.render(0.2, 1.0, 0.0, 0.0));
+  std::vector<Frame> bad(10, scene.render(0.2, 1.0, 0.0, 0.0));
   bad[0].labels = bad[0].labels.rowRange(0, 100).clone();
   bad[1].depth.convertTo(bad[1].depth, CV_64F);
   bad[2].camera.fx_px = 0.0;
   bad[3].stamp_s = 0.0;
   bad[4].T_map_camera.translation().x() = std::numeric_limits<double>::quiet_NaN();
   bad[5].depth = cv::Mat();
+  bad[6].camera.fx_px = 1.0;
+  bad[7].camera.cx_px = 1e9;
+  bad[8].p_map_base.y = 1e300;
+  bad[9].T_map_camera.linear() *= 2.0;
   for (const Frame& frame : bad) EXPECT_THROW(map.update(frame, makeConeRules()), FrameError);
   EXPECT_EQ(map.votes().tree().size(), nodes);
   EXPECT_EQ(map.grid().state, before.state);
@@ -206,7 +225,8 @@ TEST(SemanticMap, paper_counts_every_pixel_in_range_once) {
     }
   }
   SemanticOcTree& tree = map.votes().tree();
-  for (auto it = tree.begin_leafs(); it != tree.end_leafs(); ++it) counted += it->n_safe() + it->n_unsafe();
+  for (auto it = tree.begin_leafs(); it != tree.end_leafs(); ++it)
+    counted += it->n_safe() + it->n_unsafe();
   EXPECT_GT(expected, 10000u);
   EXPECT_EQ(counted, expected);
 }
@@ -218,7 +238,8 @@ TEST(SemanticMap, clear_forgets_everything) {
   EXPECT_TRUE(map.instances().empty());
   map.update(makeConeLine().render(0.2, 0.0, 9.0, 3.14), Constraints());
   EXPECT_EQ(stateAt(map.grid(), 3.0, 0.0), CellState::kUnknown);
-  EXPECT_EQ(stateAt(map.grid(), 0.0, 9.0), CellState::kSafe) << "the disc is where the robot starts anew";
+  EXPECT_EQ(stateAt(map.grid(), 0.0, 9.0), CellState::kSafe)
+      << "the disc is where the robot starts anew";
 }
 
 }  // namespace

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include "core_perception/semantic_octree.h"
-
 #include <gtest/gtest.h>
 #include <octomap/ColorOcTree.h>
 #include <octomap/OcTree.h>
@@ -11,12 +9,14 @@
 #include <sstream>
 
 #include "core_perception/octomap_wire.h"
+#include "core_perception/semantic_octree.h"
 
 namespace core_perception {
 namespace {
 
 octomap::OcTreeKey makeKey(unsigned x, unsigned y, unsigned z) {
-  return octomap::OcTreeKey(static_cast<uint16_t>(x), static_cast<uint16_t>(y), static_cast<uint16_t>(z));
+  return octomap::OcTreeKey(static_cast<uint16_t>(x), static_cast<uint16_t>(y),
+                            static_cast<uint16_t>(z));
 }
 
 void fillRandomly(unsigned seed, SemanticOcTree* tree) {
@@ -29,7 +29,8 @@ void fillRandomly(unsigned seed, SemanticOcTree* tree) {
 }
 
 /// What a client does with a message: the factory by id, then the bytes.
-std::unique_ptr<octomap::AbstractOcTree> readAsClient(const std::string& id, const std::vector<int8_t>& data,
+std::unique_ptr<octomap::AbstractOcTree> readAsClient(const std::string& id,
+                                                      const std::vector<int8_t>& data,
                                                       bool binary) {
   std::unique_ptr<octomap::AbstractOcTree> tree(octomap::AbstractOcTree::createTree(id, 0.2));
   if (tree == nullptr) return tree;
@@ -48,15 +49,18 @@ TEST(SemanticOcTree, touch_finds_what_touch_made) {
   std::mt19937 random(5);
   std::map<std::tuple<unsigned, unsigned, unsigned>, uint32_t> expected;
   for (int i = 0; i < 5000; ++i) {
-    const auto key = std::make_tuple(random() % 65536, 32768 + random() % 8, random() % 65536 / 8192 * 8192);
-    SemanticOcTreeNode* node = tree.touch(makeKey(std::get<0>(key), std::get<1>(key), std::get<2>(key)));
+    const auto key =
+        std::make_tuple(random() % 65536, 32768 + random() % 8, random() % 65536 / 8192 * 8192);
+    SemanticOcTreeNode* node =
+        tree.touch(makeKey(std::get<0>(key), std::get<1>(key), std::get<2>(key)));
     EXPECT_EQ(node->n_safe(), expected[key]);
     node->setCounts(++expected[key], 0);
   }
   EXPECT_EQ(tree.getNumLeafNodes(), expected.size());
   for (const auto& entry : expected) {
     const auto& key = entry.first;
-    const SemanticOcTreeNode* node = tree.find(makeKey(std::get<0>(key), std::get<1>(key), std::get<2>(key)));
+    const SemanticOcTreeNode* node =
+        tree.find(makeKey(std::get<0>(key), std::get<1>(key), std::get<2>(key)));
     ASSERT_NE(node, nullptr);
     EXPECT_EQ(node->n_safe(), entry.second);
   }
@@ -81,7 +85,8 @@ TEST(SemanticOcTree, prune_and_expand_lose_no_vote) {
   for (SemanticOcTree* t : {&tree, &reference}) {
     for (unsigned i = 0; i < 64; ++i) {
       // The first eight share counts and are pruned; the others share the value but not the counts.
-      t->touch(makeKey(i % 4, i / 4 % 4, i / 16))->setCounts(i < 32 && i % 4 < 2 && i / 4 % 4 < 2 ? 3 : i, 1);
+      t->touch(makeKey(i % 4, i / 4 % 4, i / 16))
+          ->setCounts(i < 32 && i % 4 < 2 && i / 4 % 4 < 2 ? 3 : i, 1);
     }
   }
   tree.prune();
@@ -116,22 +121,27 @@ TEST(SemanticOcTree, file_and_message_round_trip_keep_every_count) {
   const std::unique_ptr<octomap::AbstractOcTree> read(octomap::AbstractOcTree::read(file));
   ASSERT_NE(read, nullptr);
   EXPECT_TRUE(dynamic_cast<SemanticOcTree&>(*read) == tree);
-  const auto message = readAsClient("SemanticOcTree", serialise(WireFormat::kSemantic, &tree), false);
+  const auto message =
+      readAsClient("SemanticOcTree", serialise(WireFormat::kSemantic, &tree), false);
   EXPECT_TRUE(dynamic_cast<SemanticOcTree&>(*message) == tree);
 }
 
 TEST(SemanticOcTree, unknown_id_is_refused_and_the_colour_class_stays_what_it_was) {
   EXPECT_EQ(octomap::AbstractOcTree::createTree("SemanticOctree", 0.2), nullptr);
-  std::unique_ptr<octomap::AbstractOcTree> color(octomap::AbstractOcTree::createTree("ColorOcTree", 0.2));
+  std::unique_ptr<octomap::AbstractOcTree> color(
+      octomap::AbstractOcTree::createTree("ColorOcTree", 0.2));
   EXPECT_NE(dynamic_cast<octomap::ColorOcTree*>(color.get()), nullptr);
 }
 
 TEST(OctomapWire, every_format_is_read_by_the_class_of_its_id) {
   SemanticOcTree tree(0.2);
   fillRandomly(7, &tree);
-  const auto full = readAsClient(idOf(WireFormat::kFull), serialise(WireFormat::kFull, &tree), false);
-  const auto binary = readAsClient(idOf(WireFormat::kBinary), serialise(WireFormat::kBinary, &tree), true);
-  const auto color = readAsClient(idOf(WireFormat::kColor), serialise(WireFormat::kColor, &tree), false);
+  const auto full =
+      readAsClient(idOf(WireFormat::kFull), serialise(WireFormat::kFull, &tree), false);
+  const auto binary =
+      readAsClient(idOf(WireFormat::kBinary), serialise(WireFormat::kBinary, &tree), true);
+  const auto color =
+      readAsClient(idOf(WireFormat::kColor), serialise(WireFormat::kColor, &tree), false);
   auto& full_tree = dynamic_cast<octomap::OcTree&>(*full);
   auto& binary_tree = dynamic_cast<octomap::OcTree&>(*binary);
   auto& color_tree = dynamic_cast<octomap::ColorOcTree&>(*color);
@@ -150,7 +160,8 @@ TEST(OctomapWire, every_format_is_read_by_the_class_of_its_id) {
 
 TEST(OctomapWire, empty_tree_has_no_bytes) {
   SemanticOcTree tree(0.2);
-  for (const WireFormat f : {WireFormat::kFull, WireFormat::kBinary, WireFormat::kColor, WireFormat::kSemantic}) {
+  for (const WireFormat f :
+       {WireFormat::kFull, WireFormat::kBinary, WireFormat::kColor, WireFormat::kSemantic}) {
     EXPECT_TRUE(serialise(f, &tree).empty());
   }
 }

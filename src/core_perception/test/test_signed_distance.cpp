@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include "core_perception/signed_distance.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <random>
+
+#include "core_perception/signed_distance.h"
 
 namespace core_perception {
 namespace {
@@ -19,9 +19,11 @@ double measurePlainly(const Mask& mask, int x, int y, DistanceConvention convent
   for (int j = -1; j <= mask.height; ++j) {
     for (int i = -1; i <= mask.width; ++i) {
       const bool outside = i < 0 || j < 0 || i == mask.width || j == mask.height;
-      const bool other_unsafe = outside ? mask.outside_unsafe : mask.unsafe[j * mask.width + i] != 0;
+      const bool other_unsafe =
+          outside ? mask.outside_unsafe : mask.unsafe[j * mask.width + i] != 0;
       if (other_unsafe == unsafe || (outside && !mask.outside_unsafe)) continue;
-      const double dx = std::max(0.0, std::abs(i - x) - half), dy = std::max(0.0, std::abs(j - y) - half);
+      const double dx = std::max(0.0, std::abs(i - x) - half),
+                   dy = std::max(0.0, std::abs(j - y) - half);
       best = std::min(best, std::hypot(dx, dy));
     }
   }
@@ -29,11 +31,13 @@ double measurePlainly(const Mask& mask, int x, int y, DistanceConvention convent
 }
 
 void compare(const Mask& mask) {
-  for (const DistanceConvention convention : {DistanceConvention::kBorder, DistanceConvention::kCentre}) {
+  for (const DistanceConvention convention :
+       {DistanceConvention::kBorder, DistanceConvention::kCentre}) {
     const std::vector<float> h = computeSignedDistance(mask, kResolution_m, convention);
     for (int y = 0; y < mask.height; ++y) {
       for (int x = 0; x < mask.width; ++x) {
-        ASSERT_NEAR(h[y * mask.width + x], measurePlainly(mask, x, y, convention), 1e-5) << x << " " << y;
+        ASSERT_NEAR(h[y * mask.width + x], measurePlainly(mask, x, y, convention), 1e-5)
+            << x << " " << y;
       }
     }
   }
@@ -47,7 +51,8 @@ TEST(SignedDistance, agrees_with_brute_force_on_random_grids) {
     mask.height = 1 + static_cast<int>(random() % 40);
     mask.outside_unsafe = random() % 2 == 0;
     const unsigned rarity = 1 + random() % 50;
-    for (int i = 0; i < mask.width * mask.height; ++i) mask.unsafe.push_back(random() % rarity == 0 ? 1 : 0);
+    for (int i = 0; i < mask.width * mask.height; ++i)
+      mask.unsafe.push_back(random() % rarity == 0 ? 1 : 0);
     compare(mask);
   }
 }
@@ -70,7 +75,8 @@ TEST(SignedDistance, border_convention_crosses_zero_at_the_border) {
   mask.height = 1;
   mask.outside_unsafe = false;
   mask.unsafe = {0, 1};
-  const std::vector<float> h = computeSignedDistance(mask, kResolution_m, DistanceConvention::kBorder);
+  const std::vector<float> h =
+      computeSignedDistance(mask, kResolution_m, DistanceConvention::kBorder);
   EXPECT_FLOAT_EQ(h[0], 0.1f);
   EXPECT_FLOAT_EQ(h[1], -0.1f);
 }

@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include "core_perception/spatial_operators.h"
-
 #include <gtest/gtest.h>
 
 #include <opencv2/imgproc.hpp>
 #include <random>
 
+#include "core_perception/spatial_operators.h"
 #include "scene.h"
 
 namespace core_perception {
@@ -20,7 +19,8 @@ cv::Mat makeRandomMask(std::mt19937* random, int width, int height) {
   cv::Mat mask = cv::Mat::zeros(height, width, CV_8UC1);
   const int n = static_cast<int>((*random)() % 6);
   for (int i = 0; i < n; ++i) {
-    const cv::Point centre(static_cast<int>((*random)() % width), static_cast<int>((*random)() % height));
+    const cv::Point centre(static_cast<int>((*random)() % width),
+                           static_cast<int>((*random)() % height));
     const int radius = static_cast<int>((*random)() % 30);
     cv::circle(mask, centre, radius, cv::Scalar(255), (*random)() % 2 == 0 ? -1 : 1);
   }
@@ -29,7 +29,8 @@ cv::Mat makeRandomMask(std::mt19937* random, int width, int height) {
 
 cv::Mat dilatePlainly(const cv::Mat& mask, int kernel_px) {
   cv::Mat out;
-  cv::dilate(mask, out, cv::getStructuringElement(cv::MORPH_ELLIPSE, cv::Size(kernel_px, kernel_px)));
+  cv::dilate(mask, out,
+             cv::getStructuringElement(cv::MORPH_ELLIPSE, cv::Size(kernel_px, kernel_px)));
   return out;
 }
 
@@ -49,7 +50,8 @@ TEST(SpatialOperators, are_bit_equal_to_plain_opencv) {
     const int width = 497 + round % 16;
     const cv::Mat mask = makeRandomMask(&random, width, 100 + static_cast<int>(random() % 60));
     const int kernel_px = round % 4 == 0 ? 1 + static_cast<int>(random() % 60) : 50;
-    ASSERT_TRUE(equal(dilateAround(mask, kernel_px), dilatePlainly(mask, kernel_px))) << round << " " << kernel_px;
+    ASSERT_TRUE(equal(dilateAround(mask, kernel_px), dilatePlainly(mask, kernel_px)))
+        << round << " " << kernel_px;
     ASSERT_TRUE(equal(fillBetween(mask), fillPlainly(mask))) << round;
   }
 }
@@ -57,18 +59,20 @@ TEST(SpatialOperators, are_bit_equal_to_plain_opencv) {
 TEST(SpatialOperators, select_takes_every_label_of_the_class_and_never_label_0) {
   cv::Mat labels = (cv::Mat_<uint16_t>(1, 5) << 0, 1, 2, 65535, 3);
   const std::vector<LabelClass> classes{{0, "cone"}, {1, "cone"}, {65535, "cone"}, {2, "box"}};
-  EXPECT_TRUE(equal(selectClass(labels, classes, "cone"), (cv::Mat_<uint8_t>(1, 5) << 0, 255, 0, 255, 0)));
+  EXPECT_TRUE(
+      equal(selectClass(labels, classes, "cone"), (cv::Mat_<uint8_t>(1, 5) << 0, 255, 0, 255, 0)));
   EXPECT_EQ(cv::countNonZero(selectClass(labels, classes, "chair")), 0);
 }
 
 TEST(SpatialOperators, safe_set_is_union_of_safe_minus_union_of_unsafe) {
   std::mt19937 random(4);
   const std::vector<LabelClass> classes{{1, "floor"}, {2, "rug"}, {3, "cone"}, {4, "box"}};
-  const std::vector<Predicate> predicates{makePredicate(SpatialOperator::kOn, "floor", Verdict::kSafe),
-                                          makePredicate(SpatialOperator::kAround, "rug", Verdict::kSafe),
-                                          makePredicate(SpatialOperator::kAround, "cone", Verdict::kUnsafe),
-                                          makePredicate(SpatialOperator::kBetween, "cone", Verdict::kUnsafe),
-                                          makePredicate(SpatialOperator::kNear, "box", Verdict::kUnsafe)};
+  const std::vector<Predicate> predicates{
+      makePredicate(SpatialOperator::kOn, "floor", Verdict::kSafe),
+      makePredicate(SpatialOperator::kAround, "rug", Verdict::kSafe),
+      makePredicate(SpatialOperator::kAround, "cone", Verdict::kUnsafe),
+      makePredicate(SpatialOperator::kBetween, "cone", Verdict::kUnsafe),
+      makePredicate(SpatialOperator::kNear, "box", Verdict::kUnsafe)};
   for (int round = 0; round < 20; ++round) {
     cv::Mat labels = cv::Mat::ones(120, 200, CV_16UC1);
     for (int label = 2; label <= 4; ++label) labels.setTo(label, makeRandomMask(&random, 200, 120));

@@ -10,7 +10,9 @@
 namespace core_perception {
 namespace {
 
-double probability(const Counts& counts) { return counts.empty() ? 0.5 : 1.0 * counts.n_safe / counts.total(); }
+double probability(const Counts& counts) {
+  return counts.empty() ? 0.5 : 1.0 * counts.n_safe / counts.total();
+}
 
 /// Votes of one frame: pixels in the voxel of a point.
 struct Pixels {
@@ -23,8 +25,9 @@ void addFrame(const std::vector<Pixels>& pixels, VoteMap* map) {
   FrameVotes votes(0.2, -1.0, 3.0);
   votes.start(Eigen::Vector3d(0.1, 0.1, 0.1), 5.0);
   for (const Pixels& p : pixels) {
-    VoxelTally* tally = votes.touch(static_cast<float>(p.x_m - 0.1), static_cast<float>(p.y_m - 0.1),
-                                    static_cast<float>(p.z_m - 0.1));
+    VoxelTally* tally =
+        votes.touch(static_cast<float>(p.x_m - 0.1), static_cast<float>(p.y_m - 0.1),
+                    static_cast<float>(p.z_m - 0.1));
     ASSERT_NE(tally, nullptr);
     tally->n_safe = p.n_safe;
     tally->n_unsafe = p.n_unsafe;
@@ -81,7 +84,8 @@ TEST(VoteMap, paper_sums_the_pixels_of_the_whole_band) {
   vote.column = "sum";
   vote.metric_layer = false;
   VoteMap map(0.2, RangeParams(), vote);
-  for (int k = 0; k < 3; ++k) addFrame({{1.0, 1.0, 0.1, 7, 2, 0}, {1.0, 1.0, 0.5, 0, 4, 0}, {1.0, 1.0, 2.0, 0, 99, 0}}, &map);
+  for (int k = 0; k < 3; ++k)
+    addFrame({{1.0, 1.0, 0.1, 7, 2, 0}, {1.0, 1.0, 0.5, 0, 4, 0}, {1.0, 1.0, 2.0, 0, 99, 0}}, &map);
   ASSERT_NE(map.find(5, 5), nullptr);
   EXPECT_EQ(map.find(5, 5)->counts, (Counts{21, 18})) << "what hangs above the band does not count";
 }

@@ -9,7 +9,7 @@ from typing import List, Tuple
 import numpy as np
 
 from core_control.dynamics import integrate_lag, place_discs
-from core_control.safety_field import Boxes, SafetyField
+from core_control.safety_field import SafetyField
 
 # Largest time between two samples of a roll-out [s].
 SAMPLE_S = 0.01
@@ -86,26 +86,18 @@ class RollOut:
         stop_m = None
         for scale in SCALES[:-1]:
             poses = np.concatenate([now, self.predict(*start, scale * u)])
-            boxes = self._select_boxes(field, poses)
-            clearance_m = self._compute_clearance(field, boxes, poses)
+            clearance_m = self._compute_clearance(field, poses)
             if clearance_m >= self._needed_m:
                 return scale
             if stop_m is None:
                 stop_poses = np.concatenate([now, self.predict(*start, np.zeros(3))])
-                stop_m = self._compute_clearance(field, self._select_boxes(field, stop_poses), stop_poses)
+                stop_m = self._compute_clearance(field, stop_poses)
             if clearance_m >= min(self._needed_m, stop_m) - ROUNDING_M:
                 return scale
         return 0.0
 
-    def _select_boxes(self, field: SafetyField, poses: np.ndarray) -> Boxes:
-        """Unsafe boxes that any disc can come near on its way."""
-        centre = poses[0, :2]
-        travel_m = float(np.max(np.linalg.norm(poses[:, :2] - centre, axis=1)))
-        reach_m = travel_m + float(np.max(np.hypot(self._discs[:, 0], self._discs[:, 1]) + self._discs[:, 2]))
-        distance_m = field.unsafe_boxes.compute_distance(centre[None])[0]
-        return field.unsafe_boxes.take(distance_m <= reach_m + self._needed_m)
-
-    def _compute_clearance(self, field: SafetyField, boxes: Boxes, poses: np.ndarray) -> float:
+    def _compute_clearance(self, field: SafetyField, poses: np.ndarray) -> float:
         centres = place_discs(poses, self._discs)
-        distance_m = field.compute_signed_distance(centres.reshape(-1, 2), boxes).reshape(centres.shape[:2])
-        return float(np.min(distance_m - self._discs[:, 2]))
+        # Disc by disc: the points of one track lie close together, which keeps the search local.
+        tracks = [field.compute_signed_distance(centres[:, i]) - disc[2] for i, disc in enumerate(self._discs)]
+        return float(np.min(tracks))

@@ -48,6 +48,20 @@ class Boxes:
         gap = points[:, None, :] - self.compute_nearest(points)
         return np.sqrt(np.einsum("mnd,mnd->mn", gap, gap))
 
+    def compute_smallest_distance(self, points: np.ndarray) -> np.ndarray:
+        """Distance to the nearest box [m], +inf without boxes: points (m, 2) -> (m,).
+
+        Only boxes that can be nearest to one of the points are looked at for all of them: with s the largest distance
+        from the first point p to the others, a box nearest to any of them is at most dist(p) + 2 s away from p.
+        """
+        if not len(self):
+            return np.full(len(points), np.inf)
+        first = self.compute_distance(points[:1])[0]
+        spread = np.sqrt(np.max(np.sum((points - points[0]) ** 2, axis=1)))
+        # Negated, so that a point that is not finite keeps every box.
+        near = ~(first > first.min() + 2.0 * spread)
+        return self.take(near).compute_distance(points).min(axis=1)
+
 
 class SafetyField:
     """Signed distance and causes of one safety grid.
@@ -121,25 +135,21 @@ class SafetyField:
         ny, nx = self.unsafe.shape
         return (int(iy), int(ix)) if 0 <= ix < nx and 0 <= iy < ny else None
 
-    def compute_signed_distance(self, points: np.ndarray, boxes: Optional[Boxes] = None) -> np.ndarray:
+    def compute_signed_distance(self, points: np.ndarray) -> np.ndarray:
         """Signed distance to the border of the unsafe set [m].
 
             d(p) = dist(p, U) outside U,   -dist(p, complement of U) inside;   |d(p) - d(q)| <= |p - q|
 
         Args:
             points: (m, 2) [m].
-            boxes: the unsafe boxes that can be nearest, where the caller knows; all of them by default.
 
         Returns:
-            (m,); -inf where no safe cell exists, +inf for points outside U when boxes is empty.
+            (m,); -inf where no safe cell exists.
         """
-        boxes = self.unsafe_boxes if boxes is None else boxes
-        distance = boxes.compute_distance(points).min(axis=1, initial=np.inf)
+        distance = self.unsafe_boxes.compute_smallest_distance(points)
         inside = self.is_inside(points)
         if inside.any():
-            safe = self.safe_boxes
-            depth = safe.compute_distance(points[inside]).min(axis=1) if len(safe) else np.inf
-            distance[inside] = -depth
+            distance[inside] = -self.safe_boxes.compute_smallest_distance(points[inside])
         return distance
 
     def is_inside(self, points: np.ndarray) -> np.ndarray:

@@ -9,22 +9,24 @@
 
 namespace core_perception {
 
-/// Why a cell is unsafe. rule is a predicate such as "BETWEEN(traffic_cone)", or one of the words below.
+/// Why a cell is unsafe. rule is a predicate such as "BETWEEN(traffic_cone)", or one of the words
+/// below.
 struct Cause {
   std::string rule;
   std::string class_name;
   uint32_t instance_id = 0;  ///< 0 for none
 };
 
-constexpr char kMetricRule[] = "METRIC";      ///< obstacle seen by depth
-constexpr char kNotSafeRule[] = "NOT_SAFE";   ///< no safe predicate holds there
-constexpr char kUnknownRule[] = "UNKNOWN";    ///< never seen
+constexpr char kMetricRule[] = "METRIC";     ///< obstacle seen by depth
+constexpr char kNotSafeRule[] = "NOT_SAFE";  ///< no safe predicate holds there
+constexpr char kUnknownRule[] = "UNKNOWN";   ///< never seen
 constexpr uint16_t kNoCause = 65535;
 
 /// Numbers for (rule, class) pairs, stable until clear().
 class CauseTable {
  public:
-  /// Number of the pair; kNoCause when the table is full (65535 pairs: class names come from outside).
+  /// Number of the pair; kNoCause when the table is full (65535 pairs: class names come from
+  /// outside).
   uint16_t intern(const std::string& rule, const std::string& class_name);
   const Cause& at(uint16_t index) const { return causes_[index]; }
   size_t size() const { return causes_.size(); }

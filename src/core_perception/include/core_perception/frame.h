@@ -31,7 +31,8 @@ struct Frame {
   cv::Mat depth;   ///< CV_32FC1 [m] or CV_16UC1 [mm], along the optical axis
   cv::Mat labels;  ///< CV_16UC1, same size, 0 = none
   std::vector<LabelClass> classes;
-  std::vector<std::string> classes_evaluated;  ///< looked for by the segmenter; others are not known to be absent
+  std::vector<std::string>
+      classes_evaluated;  ///< looked for by the segmenter; others are not known to be absent
   Eigen::Isometry3d T_map_camera = Eigen::Isometry3d::Identity();  ///< optical frame at stamp_s
   Point2 p_map_base;                                               ///< robot at stamp_s
 };
@@ -39,7 +40,11 @@ struct Frame {
 /// Intrinsics for the same view at another image size.
 Camera scaleCamera(const Camera& camera, int width_px, int height_px);
 
-/// @throws FrameError image_empty, image_type, image_size, camera_invalid, stamp_invalid or pose_invalid.
+/// Length of the longest ray of the image per metre of depth.
+double computeLongestRay(const Camera& camera);
+
+/// @throws FrameError image_empty, image_type, image_size, camera_invalid, stamp_invalid or
+/// pose_invalid.
 void checkFrame(const Frame& frame);
 
 /// Depth in metres as CV_32FC1; whatever is NaN, infinite, zero or negative becomes 0.

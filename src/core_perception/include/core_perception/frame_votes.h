@@ -24,8 +24,9 @@ struct VoxelTally {
   bool empty() const { return n_safe == 0 && n_unsafe == 0 && n_metric == 0; }
 };
 
-/// Dense scratch volume around the camera in which the pixels of one frame are counted, with a list of touched voxels.
-/// It spans the whole reach of the camera: a point outside can only lie above or below the 3-D map.
+/// Dense scratch volume around the camera in which the pixels of one frame are counted, with a list
+/// of touched voxels. It spans the whole reach of the camera: a point outside can only lie above or
+/// below the 3-D map.
 class FrameVotes {
  public:
   /// @param min_z_m, max_z_m span of the 3-D map in the fixed frame.
@@ -34,7 +35,8 @@ class FrameVotes {
   /// Empties it and moves it around a camera of this reach.
   void start(const Eigen::Vector3d& p_map_camera, double reach_m);
 
-  /// Tally of the voxel of a point given relative to the camera, or nullptr when that lies outside. Marks it touched.
+  /// Tally of the voxel of a point given relative to the camera, or nullptr when that lies outside.
+  /// Marks it touched.
   VoxelTally* touch(float dx_m, float dy_m, float dz_m) {
     const int x = floorIndex(offset_.x() + dx_m * cells_per_m_);
     const int y = floorIndex(offset_.y() + dy_m * cells_per_m_);

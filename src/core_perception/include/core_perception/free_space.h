@@ -14,19 +14,21 @@ struct ColumnRange {
   int min_x, min_y, max_x, max_y;
 };
 
-/// Takes an unsafe vote from every voxel of the band that the frame saw through: what stood there has gone.
+/// Takes an unsafe vote from every voxel of the band that the frame saw through: what stood there
+/// has gone.
 ///
-/// A voxel counts as seen through when its whole outline lies in the image and all of 5 x 5 pixels spread over it have
-/// a depth beyond its far side. Voxels that hold points of this frame are left alone. A pixel without depth says nothing
-/// by itself (the sky, a black or a shiny thing); it counts as beyond where this frame saw floor and no obstacle in the
-/// voxel's column. A projective test, without ray casting: its cost grows with the number of unsafe voxels, not of pixels.
+/// A voxel counts as seen through when its whole outline lies in the image and all of 5 x 5 pixels
+/// spread over it have a depth beyond its far side. Voxels that hold points of this frame are left
+/// alone. A pixel without depth says nothing by itself (the sky, a black or a shiny thing); it
+/// counts as beyond where this frame saw floor and no obstacle in the voxel's column. A projective
+/// test, without ray casting: its cost grows with the number of unsafe voxels, not of pixels.
 /// @returns number of voxels that lost a vote.
 int clearSeenThrough(const cv::Mat& metres, const Projection& projection, const FrameVotes& votes,
-                     const ColumnRange& range, double resolution_m, VoteMap* map);
+                     const ColumnRange& range, VoteMap* map);
 
 /// Whether the voxel around this centre is seen through in the sense above.
 /// @param no_depth_is_beyond whether pixels without depth (0) count as beyond.
-bool isSeenThrough(const cv::Mat& metres, const Projection& projection, const Eigen::Vector3d& centre,
-                   double resolution_m, bool no_depth_is_beyond);
+bool isSeenThrough(const cv::Mat& metres, const Projection& projection,
+                   const Eigen::Vector3d& centre, double resolution_m, bool no_depth_is_beyond);
 
 }  // namespace core_perception

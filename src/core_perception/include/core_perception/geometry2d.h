@@ -24,7 +24,8 @@ struct Box2 {
 /// @param points any number; non-finite ones are the caller's fault.
 Polygon computeConvexHull(std::vector<Point2> points);
 
-/// Drops the corner that spans the smallest triangle with its neighbours until at most max_corners are left.
+/// Drops the corner that spans the smallest triangle with its neighbours until at most max_corners
+/// are left.
 Polygon simplifyHull(Polygon hull, size_t max_corners);
 
 /// Smallest axis-aligned box; the polygon must not be empty.
@@ -36,8 +37,8 @@ Point2 computeCentre(const Polygon& polygon);
 /// Largest distance between two corners [m].
 double computeDiameter(const Polygon& polygon);
 
-/// Smallest width over all directions [m]: min over edges of the max distance of a corner to the edge's line.
-/// A point and a segment have width 0.
+/// Smallest width over all directions [m]: min over edges of the max distance of a corner to the
+/// edge's line. A point and a segment have width 0.
 double computeWidth(const Polygon& polygon);
 
 /// Whether the point lies in the polygon or on its border.

@@ -28,20 +28,25 @@ struct GridFrame {
 /// Regions that the unsafe predicates in force make around confirmed objects:
 ///
 ///     NEAR(c)     the footprint (an extended object has its own voxels instead)
-///     AROUND(c)   ground within the radius of the predicate, else of the class, else the default, of the footprint
+///     AROUND(c)   ground within the radius of the predicate, else of the class, else the default,
+///     of the footprint
 ///                 (of the touched cells, for an extended object)
-///     BETWEEN(c)  hull of each cluster of two or more, widened to the minimum thickness; a safe BETWEEN(c) cancels it
+///     BETWEEN(c)  hull of each cluster of two or more, widened to the minimum thickness; a safe
+///     BETWEEN(c) cancels it
 ///
 /// ON(c) makes none: it speaks of surfaces, which are votes. Source: DESIGN section 4, rows 2 to 4.
-/// Differs from [CORE]: metres on the ground instead of pixels, over remembered objects instead of those in the image.
-std::vector<Region> buildRegions(const std::vector<HeldInstance>& instances, const std::vector<Predicate>& predicates,
+/// Differs from [CORE]: metres on the ground instead of pixels, over remembered objects instead of
+/// those in the image.
+std::vector<Region> buildRegions(const std::vector<HeldInstance>& instances,
+                                 const std::vector<Predicate>& predicates,
                                  const InstanceParams& params, double resolution_m);
 
 /// Whether some unsafe predicate speaks of this class.
 bool isUnsafeClass(const std::string& class_name, const std::vector<Predicate>& predicates);
 
-/// Calls visit(index) for each cell whose square reaches into the region: the union of the visited squares covers it.
-/// A cell is visited once for each part it touches.
-void forEachCell(const Region& region, const GridFrame& grid, const std::function<void(size_t)>& visit);
+/// Calls visit(index) for each cell whose square reaches into the region: the union of the visited
+/// squares covers it. A cell is visited once for each part it touches.
+void forEachCell(const Region& region, const GridFrame& grid,
+                 const std::function<void(size_t)>& visit);
 
 }  // namespace core_perception

@@ -14,7 +14,9 @@ namespace core_perception {
 struct CellIndex {
   int x, y;
 };
-inline bool operator<(const CellIndex& a, const CellIndex& b) { return a.x < b.x || (a.x == b.x && a.y < b.y); }
+inline bool operator<(const CellIndex& a, const CellIndex& b) {
+  return a.x < b.x || (a.x == b.x && a.y < b.y);
+}
 inline bool operator==(const CellIndex& a, const CellIndex& b) { return a.x == b.x && a.y == b.y; }
 
 /// One object as one frame saw it.
@@ -28,10 +30,11 @@ struct Detection {
 
 /// Splits the labelled points of one frame into objects.
 ///
-/// The points of a label are binned on the ground in cells of 5 cm. Bins of one label farther than about 0.25 m apart are
-/// taken as different objects: a segmenter may give several objects one label, and pixels of a label that bled onto the
-/// background land far behind the object. Groups with fewer than min_points points are dropped. Of an object that stands
-/// up, floor-level points count only within one bin of standing ones: those farther off are floor that got its label.
+/// The points of a label are binned on the ground in cells of 5 cm. Bins of one label farther than
+/// about 0.25 m apart are taken as different objects: a segmenter may give several objects one
+/// label, and pixels of a label that bled onto the background land far behind the object. Groups
+/// with fewer than min_points points are dropped. Of an object that stands up, floor-level points
+/// count only within one bin of standing ones: those farther off are floor that got its label.
 class InstanceDetector {
  public:
   InstanceDetector(double map_resolution_m, int min_points);
@@ -55,7 +58,8 @@ class InstanceDetector {
   };
 
   Bin& touchBin(int16_t slot, int x, int y);
-  static std::vector<const Bin*> keepStanding(const std::vector<const Bin*>& bins, uint32_t min_points);
+  static std::vector<const Bin*> keepStanding(const std::vector<const Bin*>& bins,
+                                              uint32_t min_points);
   void splitSlot(const std::vector<const Bin*>& bins, const std::string& class_name,
                  std::vector<Detection>* detections) const;
   void appendDetection(const std::vector<const Bin*>& bins, const std::string& class_name,

@@ -17,15 +17,17 @@ struct HeldInstance {
   Polygon footprint;
   std::vector<CellIndex> cells;  ///< map cells it touched, sorted
   double z_min_m = 0.0, z_max_m = 0.0;
-  uint32_t cluster = 0;        ///< smallest id of the cluster
-  bool in_view = false;        ///< the newest frame saw it
-  bool confirmed = false;      ///< seen in min_frames frames: it makes regions
+  uint32_t cluster = 0;    ///< smallest id of the cluster
+  bool in_view = false;    ///< the newest frame saw it
+  bool confirmed = false;  ///< seen in min_frames frames: it makes regions
   double last_seen_s = 0.0;
   uint32_t frames_seen = 0;
-  int doubt = 0;               ///< grows with looks that found its place empty or taken by something else
-  double largest_view_m = 0.0; ///< diameter of the largest single view
+  int doubt = 0;  ///< grows with looks that found its place empty or taken by something else
+  double largest_view_m = 0.0;  ///< diameter of the largest single view
 
-  bool isExtended(double max_footprint_m) const { return computeDiameter(footprint) > max_footprint_m; }
+  bool isExtended(double max_footprint_m) const {
+    return computeDiameter(footprint) > max_footprint_m;
+  }
 };
 
 /// What a frame tells about the place of an object it did not see.
@@ -38,15 +40,23 @@ enum class PlaceView {
 
 /// Objects remembered in the fixed frame. Source: DESIGN section 4, row 4; not in [CORE].
 ///
-/// - Detections are matched to held objects by class and distance of footprints, nearest first; label values play no part.
-///   A further detection of the same class that touches a held object is merged into it, any other becomes a new object.
-/// - The footprint is the hull of all views. For a small object it may grow by footprint_slack_m beyond its largest
-///   single view: when it would grow more the object has moved, or the pose has drifted, and the newest view replaces it.
-/// - An object is held while out of view or hidden, without limit of time, and forgotten only after release_frames
-///   consecutive looks at its place found it empty; a look that says nothing changes nothing. A look that finds something
-///   of another class there (a label that had bled onto a wall) counts a fifth of that.
-/// - It makes regions after min_frames sightings. Before, its own points already count as votes, so a hazard seen once
-///   stands; only what reaches beyond it (AROUND, BETWEEN) waits for the second look. One-frame ghosts make no region.
+/// - Detections are matched to held objects by class and distance of footprints, nearest first;
+/// label values play no part.
+///   A further detection of the same class that touches a held object is merged into it, any other
+///   becomes a new object.
+/// - The footprint is the hull of all views. For a small object it may grow by footprint_slack_m
+/// beyond its largest
+///   single view: when it would grow more the object has moved, or the pose has drifted, and the
+///   newest view replaces it.
+/// - An object is held while out of view or hidden, without limit of time, and forgotten only after
+/// release_frames
+///   consecutive looks at its place found it empty; a look that says nothing changes nothing. A
+///   look that finds something of another class there (a label that had bled onto a wall) counts a
+///   fifth of that.
+/// - It makes regions after min_frames sightings. Before, its own points already count as votes, so
+/// a hazard seen once
+///   stands; only what reaches beyond it (AROUND, BETWEEN) waits for the second look. One-frame
+///   ghosts make no region.
 class InstanceMemory {
  public:
   using Probe = std::function<PlaceView(const HeldInstance&)>;
@@ -72,8 +82,8 @@ class InstanceMemory {
   uint32_t last_id_ = 0;
 };
 
-/// Gives the confirmed objects of one class that are linked by gaps <= max_gap_m one cluster number (single link).
-/// Others are clusters of their own.
+/// Gives the confirmed objects of one class that are linked by gaps <= max_gap_m one cluster number
+/// (single link). Others are clusters of their own.
 void labelClusters(double max_gap_m, std::vector<HeldInstance>* instances);
 
 }  // namespace core_perception

@@ -13,22 +13,24 @@ namespace core_perception {
 
 /// What a label value means for the votes of its pixels.
 struct LabelMeaning {
-  bool safe = false;               ///< its class is safe ground
-  int16_t instance_slot = -1;      ///< index into Frame::classes when it may be an instance, else -1
-  uint16_t cause = kNoCause;         ///< of an unsafe pixel at floor level
+  bool safe = false;           ///< its class is safe ground
+  int16_t instance_slot = -1;  ///< index into Frame::classes when it may be an instance, else -1
+  uint16_t cause = kNoCause;   ///< of an unsafe pixel at floor level
   uint16_t metric_cause = kNoCause;  ///< of a pixel in the metric obstacle band
 };
 
 /// Meaning of every label value of a frame under the constraints in force.
 ///
-/// A class is safe ground when ON or NEAR of it is safe and none of the two is unsafe; everything else is not safe,
-/// label 0 and values that Frame::classes does not list included. Safe AROUND and BETWEEN never make safe ground.
-/// A class is a surface, never an instance, when it is listed or ON is applied to it.
+/// A class is safe ground when ON or NEAR of it is safe and none of the two is unsafe; everything
+/// else is not safe, label 0 and values that Frame::classes does not list included. Safe AROUND and
+/// BETWEEN never make safe ground. A class is a surface, never an instance, when it is listed or ON
+/// is applied to it.
 class LabelMeanings {
  public:
   explicit LabelMeanings(const std::vector<std::string>& surface_classes);
 
-  void build(const std::vector<LabelClass>& classes, const std::vector<Predicate>& predicates, CauseTable* causes);
+  void build(const std::vector<LabelClass>& classes, const std::vector<Predicate>& predicates,
+             CauseTable* causes);
   const LabelMeaning& operator[](uint16_t label) const { return table_[label]; }
 
  private:

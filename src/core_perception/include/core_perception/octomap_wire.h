@@ -13,7 +13,8 @@ namespace core_perception {
 enum class WireFormat {
   kFull,      ///< id "OcTree", log-odds of being unsafe: any OctoMap client
   kBinary,    ///< id "OcTree", occupied (unsafe) or free (safe): any OctoMap client
-  kColor,     ///< id "ColorOcTree", red unsafe, green safe; all occupied, so that RViz draws every voxel
+  kColor,     ///< id "ColorOcTree", red unsafe, green safe; all occupied, so that RViz draws every
+              ///< voxel
   kSemantic,  ///< id "SemanticOcTree", with counts: clients that link core_semantic_octree
 };
 

@@ -35,8 +35,9 @@ struct Bounds {
   double highest = std::numeric_limits<double>::infinity();
 };
 
-/// Reads named values out of a ParamMap into fields that hold the defaults; a missing key keeps the default.
-/// Every read throws ParameterError on a wrong type or a value out of bounds; so does finish() on a key nobody read.
+/// Reads named values out of a ParamMap into fields that hold the defaults; a missing key keeps the
+/// default. Every read throws ParameterError on a wrong type or a value out of bounds; so does
+/// finish() on a key nobody read.
 class ParamReader {
  public:
   explicit ParamReader(const ParamMap& values) : values_(values) {}
@@ -47,7 +48,8 @@ class ParamReader {
   void read(const std::string& key, int* field, const Bounds& bounds);
   void read(const std::string& key, bool* field);
   /// Any non-empty text, or one of `allowed` where that is not empty.
-  void read(const std::string& key, std::string* field, const std::vector<std::string>& allowed = {});
+  void read(const std::string& key, std::string* field,
+            const std::vector<std::string>& allowed = {});
   void read(const std::string& key, std::vector<std::string>* field);
   void read(const std::string& key, std::map<std::string, double>* field, const Bounds& bounds);
   /// @throws ParameterError naming the first key that was not read, and listing those that exist.

@@ -20,33 +20,36 @@ struct RangeParams {
   double band_max_z_m = 0.9;          ///< upper end: height of the robot
   double metric_min_height_m = 0.10;  ///< lower end of the metric obstacle band
   double metric_slope = 0.01;         ///< growth of that end with z-depth, for attitude error [m/m]
-  double depth_edge_ratio = 0.05;     ///< a pixel this much (relative) behind a neighbour is discarded; 0: off
+  double depth_edge_ratio =
+      0.05;  ///< a pixel this much (relative) behind a neighbour is discarded; 0: off
 };
 
 /// How pixels become votes and votes a decision.
 struct VoteParams {
   std::string votes = "frame";  ///< "pixel": one vote a pixel; "frame": one vote a voxel a frame
-  std::string column = "worst";  ///< "sum": counts of the column are summed; "worst": its worst voxel decides
-  int count_cap = 10;            ///< sliding cap of n_safe + n_unsafe; 0: none
-  double tau = 0.5;              ///< a cell is safe when n_safe / (n_safe + n_unsafe) >= tau
-  bool metric_layer = true;      ///< points in the metric band are unsafe whatever the predicates say
-  int metric_min_points = 3;     ///< points a voxel needs in one frame for that
+  std::string column =
+      "worst";         ///< "sum": counts of the column are summed; "worst": its worst voxel decides
+  int count_cap = 10;  ///< sliding cap of n_safe + n_unsafe; 0: none
+  double tau = 0.5;    ///< a cell is safe when n_safe / (n_safe + n_unsafe) >= tau
+  bool metric_layer = true;   ///< points in the metric band are unsafe whatever the predicates say
+  int metric_min_points = 3;  ///< points a voxel needs in one frame for that
   bool free_space_clearing = true;  ///< a voxel seen through loses one unsafe vote
 };
 
 /// The instance memory and the regions it makes.
 struct InstanceParams {
   /// Never instances; classes of ON are added.
-  std::vector<std::string> surface_classes = {"floor",     "carpet", "hallway", "sidewalk",    "sidewalk_ramp",
-                                              "crosswalk", "path",   "road",    "parking_lot", "driveway",
-                                              "patio"};
-  int min_points = 8;               ///< pixels an instance needs in one frame
-  int min_frames = 2;               ///< frames that must have seen it before it makes regions
-  int release_frames = 5;           ///< frames that must see its place empty before it is forgotten
-  double match_distance_m = 0.4;    ///< largest gap between a held footprint and a new one of the same instance
-  double footprint_slack_m = 0.5;   ///< largest growth of a footprint beyond its largest single view
-  double max_footprint_m = 2.0;     ///< larger footprints count as extended: cells instead of a hull
-  double between_max_gap_m = 2.5;   ///< single-link distance of a cluster
+  std::vector<std::string> surface_classes = {"floor",         "carpet",    "hallway", "sidewalk",
+                                              "sidewalk_ramp", "crosswalk", "path",    "road",
+                                              "parking_lot",   "driveway",  "patio"};
+  int min_points = 8;      ///< pixels an instance needs in one frame
+  int min_frames = 2;      ///< frames that must have seen it before it makes regions
+  int release_frames = 5;  ///< frames that must see its place empty before it is forgotten
+  double match_distance_m =
+      0.4;  ///< largest gap between a held footprint and a new one of the same instance
+  double footprint_slack_m = 0.5;  ///< largest growth of a footprint beyond its largest single view
+  double max_footprint_m = 2.0;    ///< larger footprints count as extended: cells instead of a hull
+  double between_max_gap_m = 2.5;  ///< single-link distance of a cluster
   double between_min_thickness_m = 0.3;
   double default_radius_m = 1.0;  ///< of AROUND
   std::map<std::string, double> class_radius_m;
@@ -55,13 +58,15 @@ struct InstanceParams {
 /// Everything the semantic map needs; validated by fromMap. Defaults are those of profile `core`.
 struct SemanticMapParams {
   double resolution_m = 0.2;
-  double window_m = 20.0;              ///< edge of the published, robot-centred window
-  std::string operators = "ground";    ///< "image": as printed in [CORE]; "ground": on held instances, in metres
-  int kernel_px = 50;                  ///< of the image-space AROUND
+  double window_m = 20.0;  ///< edge of the published, robot-centred window
+  std::string operators =
+      "ground";        ///< "image": as printed in [CORE]; "ground": on held instances, in metres
+  int kernel_px = 50;  ///< of the image-space AROUND
   bool unknown_is_unsafe = true;
   double initial_disc_radius_m = 1.5;  ///< safe prior around the robot's first position
-  std::string distance = "border";     ///< "centre": between cell centres, as [CORE]; "border": to cell squares
-  double slow_speed_mps = 0.2;         ///< speed cap inside regions of severity SLOW
+  std::string distance =
+      "border";  ///< "centre": between cell centres, as [CORE]; "border": to cell squares
+  double slow_speed_mps = 0.2;  ///< speed cap inside regions of severity SLOW
   RangeParams range;
   VoteParams vote;
   InstanceParams instance;
@@ -81,8 +86,8 @@ struct NodeParams {
   bool lockstep = false;
   std::string map_frame = "odom";
   std::string base_frame = "base_link";
-  double slop_s = 0.02;            ///< largest stamp difference of depth and labels without lock-step
-  int queue_size = 60;             ///< frames that may wait for their labels
+  double slop_s = 0.02;  ///< largest stamp difference of depth and labels without lock-step
+  int queue_size = 60;   ///< frames that may wait for their labels
   double octomap_period_s = 1.0;   ///< of the octomap topics
   bool ignore_distortion = false;  ///< take images as rectified whatever camera_info says
   SemanticMapParams map;

@@ -11,16 +11,18 @@ namespace core_perception {
 
 /// Looks at the place of a held object in one frame.
 ///
-/// The place is EMPTY when the whole footprint lies in the image and within range, at least 60 % of the pixels whose ray
-/// meets the floor inside it show floor there, and next to no point inside it stands up or carries the object's class.
-/// It is OCCUPIED when some points do; OTHER when nearly all of these carry the label of another listed class although the
-/// segmenter looked for the object's own. Otherwise it is HIDDEN.
-/// An object no higher than the metric band (a puddle, a cable) can only be told from the floor by its label: its place
-/// is empty only where the segmenter looked for the class.
+/// The place is EMPTY when the whole footprint lies in the image and within range, at least 60 % of
+/// the pixels whose ray meets the floor inside it show floor there, and next to no point inside it
+/// stands up or carries the object's class. It is OCCUPIED when some points do; OTHER when nearly
+/// all of these carry the label of another listed class although the segmenter looked for the
+/// object's own. Otherwise it is HIDDEN. An object no higher than the metric band (a puddle, a
+/// cable) can only be told from the floor by its label: its place is empty only where the segmenter
+/// looked for the class.
 class PlaceProbe {
  public:
   /// The arguments must outlive the probe.
-  PlaceProbe(const Frame& frame, const cv::Mat& metres, const Projection& projection, const RangeParams& range)
+  PlaceProbe(const Frame& frame, const cv::Mat& metres, const Projection& projection,
+             const RangeParams& range)
       : frame_(frame), metres_(metres), projection_(projection), range_(range) {}
 
   PlaceView look(const HeldInstance& held) const;
@@ -35,9 +37,10 @@ class PlaceProbe {
 
   bool isInView(const Polygon& place) const;
   cv::Rect findPixels(const Polygon& place, double top_z_m) const;
-  enum class Owner { kNone, kOwn, kOther };
+  enum class Owner { kNone, kSame, kOther };
   Owner findOwner(uint16_t label, const std::string& class_name) const;
-  Evidence gather(const Polygon& place, const cv::Rect& pixels, const std::string& class_name) const;
+  Evidence gather(const Polygon& place, const cv::Rect& pixels,
+                  const std::string& class_name) const;
   void judgePixel(const Polygon& place, int u, int v, Owner owner, Evidence* evidence) const;
 
   const Frame& frame_;

@@ -28,13 +28,14 @@ struct Constraints {
   double image_stamp_s = 0.0;  ///< 0 while no answer exists yet
   std::vector<Predicate> predicates;
 
-  bool inForce() const { return image_stamp_s > 0.0; }
+  bool isActive() const { return image_stamp_s > 0.0; }
 };
 
 /// "BETWEEN(traffic_cone)".
 std::string formatRule(const Predicate& predicate);
 
-/// Whether some SAFE predicate has this operator and class: a safe BETWEEN cancels an unsafe one on the same class.
+/// Whether some SAFE predicate has this operator and class: a safe BETWEEN cancels an unsafe one on
+/// the same class.
 bool isCancelled(const Predicate& predicate, const std::vector<Predicate>& all);
 
 }  // namespace core_perception

@@ -14,19 +14,21 @@
 
 namespace core_perception {
 
-/// Semantic grounding: labelled depth images and safety predicates in, decision around the robot out.
+/// Semantic grounding: labelled depth images and safety predicates in, decision around the robot
+/// out.
 ///
 ///     operators -> projection -> votes a frame -> SemanticOcTree -> 2-D counts -+-> decision -> h
 ///     labels    -> objects    -> instance memory -> regions on the ground  -----+
 ///
-/// Time and pose are arguments. Source: [CORE] semantic grounding. Both profiles take this way, parameters tell them apart.
+/// Time and pose are arguments. Source: [CORE] semantic grounding. Both profiles take this way,
+/// parameters tell them apart.
 class SemanticMap {
  public:
   /// @throws ParameterError never: parameters are validated where they are read.
   explicit SemanticMap(const SemanticMapParams& params);
 
-  /// Adds a frame under the constraints in force at its stamp. While no constraints are in force objects are tracked but
-  /// nothing is voted, and no region is made.
+  /// Adds a frame under the constraints in force at its stamp. While no constraints are in force
+  /// objects are tracked but nothing is voted, and no region is made.
   /// @throws FrameError the frame cannot be used; nothing has changed then.
   const SafetyGrid& update(const Frame& frame, const Constraints& constraints);
 
@@ -39,8 +41,10 @@ class SemanticMap {
 
  private:
   void collect(const Frame& frame, const Projection& projection, const ImageSets& sets, bool vote);
-  void collectInstancePoint(const PixelPoint& point, float height_m, int16_t slot, const Projection& projection);
-  void votePoint(const PixelPoint& point, float height_m, const LabelMeaning& meaning, const ImageSets& sets);
+  void collectInstancePoint(const PixelPoint& point, float height_m, int16_t slot,
+                            const Projection& projection);
+  void votePoint(const PixelPoint& point, float height_m, const LabelMeaning& meaning,
+                 const ImageSets& sets);
   ColumnRange findReach(const Projection& projection) const;
 
   SemanticMapParams params_;

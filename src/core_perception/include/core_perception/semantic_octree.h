@@ -14,9 +14,9 @@ namespace core_perception {
 ///
 ///     value = log((n_unsafe + 1/2) / (n_safe + 1/2))
 ///
-/// Never use the hit / miss updates of OctoMap on it. On the wire: float32 value, uint32 n_safe, uint32 n_unsafe
-/// (12 bytes, native byte order, as OctoMap's own nodes).
-/// In a pruned leaf the counts hold for every voxel it covers. Inner nodes carry no counts of their own.
+/// Never use the hit / miss updates of OctoMap on it. On the wire: float32 value, uint32 n_safe,
+/// uint32 n_unsafe (12 bytes, native byte order, as OctoMap's own nodes). In a pruned leaf the
+/// counts hold for every voxel it covers. Inner nodes carry no counts of their own.
 class SemanticOcTreeNode : public octomap::OcTreeNode {
  public:
   SemanticOcTreeNode() = default;
@@ -46,7 +46,8 @@ class SemanticOcTreeNode : public octomap::OcTreeNode {
   uint32_t n_unsafe_ = 0;
 };
 
-/// OctoMap tree of votes, registered with OctoMap's factory as "SemanticOcTree" in every process that links this library.
+/// OctoMap tree of votes, registered with OctoMap's factory as "SemanticOcTree" in every process
+/// that links this library.
 class SemanticOcTree : public octomap::OccupancyOcTreeBase<SemanticOcTreeNode> {
  public:
   explicit SemanticOcTree(double resolution_m);
@@ -76,7 +77,8 @@ class SemanticOcTree : public octomap::OccupancyOcTreeBase<SemanticOcTreeNode> {
   };
   static Registration registration_;
 
-  SemanticOcTreeNode* path_[kDepth + 1] = {};  ///< path_[d]: node of depth d on the way to last_key_
+  SemanticOcTreeNode* path_[kDepth + 1] =
+      {};  ///< path_[d]: node of depth d on the way to last_key_
   octomap::OcTreeKey last_key_;
   bool path_valid_ = false;
 };

@@ -7,8 +7,10 @@
 namespace core_perception {
 
 enum class DistanceConvention {
-  kBorder,  ///< to the border of the union of unsafe cell squares: crosses zero where safe meets unsafe
-  kCentre,  ///< to the nearest cell centre of the other side, as [CORE]: jumps from +1 to -1 cell at the border
+  kBorder,  ///< to the border of the union of unsafe cell squares: crosses zero where safe meets
+            ///< unsafe
+  kCentre,  ///< to the nearest cell centre of the other side, as [CORE]: jumps from +1 to -1 cell
+            ///< at the border
 };
 
 /// A grid of decisions, row-major (index = y * width + x).
@@ -19,18 +21,21 @@ struct Mask {
 };
 
 inline bool operator==(const Mask& a, const Mask& b) {
-  return a.width == b.width && a.height == b.height && a.outside_unsafe == b.outside_unsafe && a.unsafe == b.unsafe;
+  return a.width == b.width && a.height == b.height && a.outside_unsafe == b.outside_unsafe &&
+         a.unsafe == b.unsafe;
 }
 
 /// Exact signed distance at every cell centre [m]:
 ///
 ///     h(x) = +min_{y in U} |x - y|  for a safe cell,  -min_{y in S} |x - y|  for an unsafe one
 ///
-/// with U, S the squares (kBorder) or the centres (kCentre) of the unsafe and of the safe cells. Safe ground beyond the
-/// grid is never assumed for unsafe cells. Where the other side does not exist, |h| is the diagonal of the grid.
-/// Two separable passes: column scans, then the lower envelope of parabolas. O(cells).
-/// Source: [CORE] eq. barrier; Felzenszwalb and Huttenlocher 2012. Differs (kBorder): squares instead of points, handled by
-/// putting a sample at each edge of a cell as well as at its centre.
-std::vector<float> computeSignedDistance(const Mask& mask, double resolution_m, DistanceConvention convention);
+/// with U, S the squares (kBorder) or the centres (kCentre) of the unsafe and of the safe cells.
+/// Safe ground beyond the grid is never assumed for unsafe cells. Where the other side does not
+/// exist, |h| is the diagonal of the grid. Two separable passes: column scans, then the lower
+/// envelope of parabolas. O(cells). Source: [CORE] eq. barrier; Felzenszwalb and Huttenlocher 2012.
+/// Differs (kBorder): squares instead of points, handled by putting a sample at each edge of a cell
+/// as well as at its centre.
+std::vector<float> computeSignedDistance(const Mask& mask, double resolution_m,
+                                         DistanceConvention convention);
 
 }  // namespace core_perception

@@ -22,7 +22,8 @@ struct Column {
 
 /// The 3-D map of votes and the 2-D counts that follow from it.
 ///
-/// A column takes the voxels that reach into the height band: their sum (`sum`, as [CORE]) or the worst of them
+/// A column takes the voxels that reach into the height band: their sum (`sum`, as [CORE]) or the
+/// worst of them
 /// (`worst`). Voxels above, such as a ceiling or a lamp, do not mark the floor below.
 class VoteMap {
  public:

@@ -14,22 +14,25 @@ struct Counts {
   bool empty() const { return total() == 0; }
 };
 
-inline bool operator==(const Counts& a, const Counts& b) { return a.n_safe == b.n_safe && a.n_unsafe == b.n_unsafe; }
+inline bool operator==(const Counts& a, const Counts& b) {
+  return a.n_safe == b.n_safe && a.n_unsafe == b.n_unsafe;
+}
 
 /// P(safe) >= tau for P = n_safe / (n_safe + n_unsafe); the counts must not both be 0.
 /// Source: [CORE] barrier function construction.
 bool isSafe(const Counts& counts, double tau);
 
-/// Whether P(safe) of a is smaller than that of b, exactly (integer cross product); of equal ones that with more votes.
-/// Both must have votes.
+/// Whether P(safe) of a is smaller than that of b, exactly (integer cross product); of equal ones
+/// that with more votes. Both must have votes.
 bool isWorse(const Counts& a, const Counts& b);
 
 /// Adds raw votes, as [CORE]: never forgotten. Stops at 2^32 - 1 instead of wrapping.
 void addVotes(uint32_t n_safe, uint32_t n_unsafe, Counts* counts);
 
-/// Adds one vote under a sliding cap: while n_safe + n_unsafe > cap, the side that did not get the vote loses one,
-/// or the side that did where the other has none. So one more unsafe vote never raises P(safe), and the other way round.
-/// Differs from [CORE]: raw counts need as many contrary votes as there is history. cap 0 means none.
+/// Adds one vote under a sliding cap: while n_safe + n_unsafe > cap, the side that did not get the
+/// vote loses one, or the side that did where the other has none. So one more unsafe vote never
+/// raises P(safe), and the other way round. Differs from [CORE]: raw counts need as many contrary
+/// votes as there is history. cap 0 means none.
 void addFrameVote(bool safe, uint32_t cap, Counts* counts);
 
 /// Takes one unsafe vote away: the voxel was seen through.

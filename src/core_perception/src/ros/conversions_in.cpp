@@ -15,27 +15,34 @@ namespace enc = sensor_msgs::image_encodings;
 /// View of the pixels, not a copy.
 cv::Mat matFromMessage(const sensor_msgs::Image& image, int type, const char* what) {
   const size_t pixel_size = CV_ELEM_SIZE(type);
-  const bool laid_out = image.step >= static_cast<size_t>(image.width) * pixel_size && image.step % pixel_size == 0 &&
+  const bool laid_out = image.step >= static_cast<size_t>(image.width) * pixel_size &&
+                        image.step % pixel_size == 0 &&
                         image.data.size() >= static_cast<size_t>(image.step) * image.height;
   constexpr uint32_t kLargest_px = 16384;
-  if (!laid_out || image.width == 0 || image.height == 0 || image.width > kLargest_px || image.height > kLargest_px) {
-    throw FrameError("image_size", std::string(what) + ": " + std::to_string(image.data.size()) + " bytes do not hold " +
-                                       std::to_string(image.width) + "x" + std::to_string(image.height) +
-                                       " pixels with rows of " + std::to_string(image.step) + " bytes");
+  if (!laid_out || image.width == 0 || image.height == 0 || image.width > kLargest_px ||
+      image.height > kLargest_px) {
+    throw FrameError("image_size", std::string(what) + ": " + std::to_string(image.data.size()) +
+                                       " bytes do not hold " + std::to_string(image.width) + "x" +
+                                       std::to_string(image.height) + " pixels with rows of " +
+                                       std::to_string(image.step) + " bytes");
   }
-  if (image.is_bigendian != 0) throw FrameError("image_encoding", std::string(what) + " is big-endian");
+  if (image.is_bigendian != 0)
+    throw FrameError("image_encoding", std::string(what) + " is big-endian");
   return cv::Mat(static_cast<int>(image.height), static_cast<int>(image.width), type,
                  const_cast<uint8_t*>(image.data.data()), image.step);
 }
 
-std::string formatSize(const cv::Mat& image) { return std::to_string(image.cols) + "x" + std::to_string(image.rows); }
+std::string formatSize(const cv::Mat& image) {
+  return std::to_string(image.cols) + "x" + std::to_string(image.rows);
+}
 
 cv::Mat depthFromMessage(const sensor_msgs::Image& image) {
   if (image.encoding == enc::TYPE_32FC1) return matFromMessage(image, CV_32FC1, "depth");
   if (image.encoding == enc::TYPE_16UC1 || image.encoding == enc::MONO16) {
     return matFromMessage(image, CV_16UC1, "depth");
   }
-  throw FrameError("image_encoding", "depth is " + image.encoding + ", allowed 32FC1 (m) or 16UC1 (mm)");
+  throw FrameError("image_encoding",
+                   "depth is " + image.encoding + ", allowed 32FC1 (m) or 16UC1 (mm)");
 }
 
 cv::Mat labelsFromMessage(const sensor_msgs::Image& image) {
@@ -51,7 +58,8 @@ Predicate predicateFromMessage(const core_msgs::Predicate& message) {
                      message.severity <= core_msgs::Predicate::SLOW && message.radius_m >= 0.0f &&
                      std::isfinite(message.radius_m);
   if (!valid) {
-    throw FrameError("constraints_invalid", "predicate on " + message.class_name + " has an unknown operator, verdict " +
+    throw FrameError("constraints_invalid", "predicate on " + message.class_name +
+                                                " has an unknown operator, verdict " +
                                                 "or severity, or a negative radius");
   }
   Predicate predicate;
@@ -65,21 +73,33 @@ Predicate predicateFromMessage(const core_msgs::Predicate& message) {
 
 }  // namespace
 
-Camera cameraFromMessage(const sensor_msgs::CameraInfo& info, int width_px, int height_px, bool ignore_distortion) {
-  const bool distorted = std::any_of(info.D.begin(), info.D.end(), [](double d) { return d != 0.0; });
+Camera cameraFromMessage(const sensor_msgs::CameraInfo& info, int width_px, int height_px,
+                         bool ignore_distortion) {
+  const bool distorted =
+      std::any_of(info.D.begin(), info.D.end(), [](double d) { return d != 0.0; });
   if (distorted && !ignore_distortion) {
-    throw FrameError("distorted", "camera_info has distortion; rectify the images, or set ignore_distortion if they are");
+    throw FrameError(
+        "distorted",
+        "camera_info has distortion; rectify the images, or set ignore_distortion if they are");
   }
-  if (info.binning_x > 1 || info.binning_y > 1 || info.roi.x_offset != 0 || info.roi.y_offset != 0) {
-    throw FrameError("camera_invalid", "camera_info with binning or a region of interest is not supported");
+  if (info.binning_x > 1 || info.binning_y > 1 || info.roi.x_offset != 0 ||
+      info.roi.y_offset != 0) {
+    throw FrameError("camera_invalid",
+                     "camera_info with binning or a region of interest is not supported");
   }
-  const double shape = static_cast<double>(info.width) * height_px - static_cast<double>(info.height) * width_px;
+  const double shape =
+      static_cast<double>(info.width) * height_px - static_cast<double>(info.height) * width_px;
   if (info.width == 0 || info.height == 0 || std::abs(shape) > 0.02 * info.width * height_px) {
     throw FrameError("camera_invalid", "camera_info is for " + std::to_string(info.width) + "x" +
                                            std::to_string(info.height) + ", the images are " +
-                                           std::to_string(width_px) + "x" + std::to_string(height_px));
+                                           std::to_string(width_px) + "x" +
+                                           std::to_string(height_px));
   }
-  const Camera camera{info.K[0], info.K[4], info.K[2], info.K[5], static_cast<int>(info.width),
+  const Camera camera{info.K[0],
+                      info.K[4],
+                      info.K[2],
+                      info.K[5],
+                      static_cast<int>(info.width),
                       static_cast<int>(info.height)};
   return scaleCamera(camera, width_px, height_px);
 }
@@ -90,13 +110,16 @@ Frame frameFromMessages(const FrameMessages& messages, bool ignore_distortion) {
   frame.labels = labelsFromMessage(*messages.labels);
   const std::string& depth_id = messages.depth->header.frame_id;
   if (depth_id.empty() || depth_id != messages.labels->header.frame_id) {
-    throw FrameError("frame_id", "depth is in '" + depth_id + "', labels in '" + messages.labels->header.frame_id +
+    throw FrameError("frame_id", "depth is in '" + depth_id + "', labels in '" +
+                                     messages.labels->header.frame_id +
                                      "'; both must be the same optical frame");
   }
   if (frame.depth.size() != frame.labels.size()) {
-    throw FrameError("image_size", "depth is " + formatSize(frame.depth) + ", labels are " + formatSize(frame.labels));
+    throw FrameError("image_size", "depth is " + formatSize(frame.depth) + ", labels are " +
+                                       formatSize(frame.labels));
   }
-  frame.camera = cameraFromMessage(*messages.camera_info, frame.depth.cols, frame.depth.rows, ignore_distortion);
+  frame.camera = cameraFromMessage(*messages.camera_info, frame.depth.cols, frame.depth.rows,
+                                   ignore_distortion);
   frame.stamp_s = messages.depth->header.stamp.toSec();
   for (const core_msgs::LabelClass& label : messages.label_info->labels) {
     frame.classes.push_back(LabelClass{label.id, label.class_name});
@@ -119,10 +142,14 @@ ParamValue paramFromXmlRpc(const XmlRpc::XmlRpcValue& value) {
   XmlRpc::XmlRpcValue copy = value;  // its conversions are not const
   ParamValue result;
   switch (copy.getType()) {
-    case XmlRpc::XmlRpcValue::TypeBoolean: return ParamValue::ofBool(static_cast<bool>(copy));
-    case XmlRpc::XmlRpcValue::TypeInt: return ParamValue::ofInt(static_cast<int>(copy));
-    case XmlRpc::XmlRpcValue::TypeDouble: return ParamValue::ofDouble(static_cast<double>(copy));
-    case XmlRpc::XmlRpcValue::TypeString: return ParamValue::ofString(static_cast<std::string>(copy));
+    case XmlRpc::XmlRpcValue::TypeBoolean:
+      return ParamValue::ofBool(static_cast<bool>(copy));
+    case XmlRpc::XmlRpcValue::TypeInt:
+      return ParamValue::ofInt(static_cast<int>(copy));
+    case XmlRpc::XmlRpcValue::TypeDouble:
+      return ParamValue::ofDouble(static_cast<double>(copy));
+    case XmlRpc::XmlRpcValue::TypeString:
+      return ParamValue::ofString(static_cast<std::string>(copy));
     case XmlRpc::XmlRpcValue::TypeArray:
       result.kind = ParamValue::Kind::kList;
       for (int i = 0; i < copy.size(); ++i) result.list.push_back(paramFromXmlRpc(copy[i]));
@@ -131,7 +158,8 @@ ParamValue paramFromXmlRpc(const XmlRpc::XmlRpcValue& value) {
       result.kind = ParamValue::Kind::kStruct;
       for (auto& member : copy) result.members[member.first] = paramFromXmlRpc(member.second);
       break;
-    default: break;
+    default:
+      break;
   }
   return result;
 }

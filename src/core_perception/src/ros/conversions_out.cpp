@@ -30,7 +30,8 @@ core_msgs::UnsafeCause causeToMessage(const Cause& cause) {
   return message;
 }
 
-core_msgs::Instance instanceToMessage(const HeldInstance& held, const std::vector<Predicate>& predicates) {
+core_msgs::Instance instanceToMessage(const HeldInstance& held,
+                                      const std::vector<Predicate>& predicates) {
   core_msgs::Instance message;
   message.id = held.id;
   message.class_name = held.class_name;
@@ -46,8 +47,8 @@ core_msgs::Instance instanceToMessage(const HeldInstance& held, const std::vecto
   message.in_view = held.in_view;
   message.last_seen.fromSec(held.last_seen_s);
   message.frames_seen = held.frames_seen;
-  message.verdict =
-      isUnsafeClass(held.class_name, predicates) ? core_msgs::Instance::UNSAFE : core_msgs::Instance::SAFE;
+  message.verdict = isUnsafeClass(held.class_name, predicates) ? core_msgs::Instance::UNSAFE
+                                                               : core_msgs::Instance::SAFE;
   return message;
 }
 
@@ -76,14 +77,17 @@ core_msgs::SafetyGrid safetyGridToMessage(const SafetyGrid& grid, const std_msgs
 }
 
 core_msgs::InstanceArray instancesToMessage(const std::vector<HeldInstance>& instances,
-                                            const std::vector<Predicate>& predicates, const std_msgs::Header& header) {
+                                            const std::vector<Predicate>& predicates,
+                                            const std_msgs::Header& header) {
   core_msgs::InstanceArray message;
   message.header = header;
-  for (const HeldInstance& held : instances) message.instances.push_back(instanceToMessage(held, predicates));
+  for (const HeldInstance& held : instances)
+    message.instances.push_back(instanceToMessage(held, predicates));
   return message;
 }
 
-nav_msgs::OccupancyGrid probabilityToMessage(const SafetyGrid& grid, const std_msgs::Header& header) {
+nav_msgs::OccupancyGrid probabilityToMessage(const SafetyGrid& grid,
+                                             const std_msgs::Header& header) {
   nav_msgs::OccupancyGrid message = makeOccupancyGrid(grid, header);
   for (size_t i = 0; i < grid.state.size(); ++i) {
     const double total = static_cast<double>(grid.n_safe[i]) + grid.n_unsafe[i];
@@ -100,12 +104,14 @@ nav_msgs::OccupancyGrid probabilityToMessage(const SafetyGrid& grid, const std_m
 nav_msgs::OccupancyGrid decisionToMessage(const SafetyGrid& grid, const std_msgs::Header& header) {
   nav_msgs::OccupancyGrid message = makeOccupancyGrid(grid, header);
   for (size_t i = 0; i < grid.state.size(); ++i) {
-    if (grid.state[i] != CellState::kUnknown) message.data[i] = grid.state[i] == CellState::kUnsafe ? 100 : 0;
+    if (grid.state[i] != CellState::kUnknown)
+      message.data[i] = grid.state[i] == CellState::kUnsafe ? 100 : 0;
   }
   return message;
 }
 
-octomap_msgs::Octomap octomapToMessage(WireFormat format, const std_msgs::Header& header, SemanticOcTree* tree) {
+octomap_msgs::Octomap octomapToMessage(WireFormat format, const std_msgs::Header& header,
+                                       SemanticOcTree* tree) {
   octomap_msgs::Octomap message;
   message.header = header;
   message.binary = format == WireFormat::kBinary;

@@ -46,8 +46,12 @@ void eraseAfter(const ros::Time& stamp, Map* all) {
 void FrameQueue::add(const sensor_msgs::ImageConstPtr& image, bool is_depth) {
   insert(image, size_, is_depth ? &depth_ : &labels_);
 }
-void FrameQueue::add(const sensor_msgs::CameraInfoConstPtr& info) { insert(info, size_, &camera_info_); }
-void FrameQueue::add(const core_msgs::LabelInfoConstPtr& info) { insert(info, size_, &label_info_); }
+void FrameQueue::add(const sensor_msgs::CameraInfoConstPtr& info) {
+  insert(info, size_, &camera_info_);
+}
+void FrameQueue::add(const core_msgs::LabelInfoConstPtr& info) {
+  insert(info, size_, &label_info_);
+}
 void FrameQueue::add(const core_msgs::SafetyConstraintsConstPtr& constraints) {
   insert(constraints, size_, &constraints_);
 }
@@ -64,7 +68,8 @@ sensor_msgs::ImageConstPtr FrameQueue::findDepth(const ros::Time& stamp) const {
   return best;
 }
 
-bool FrameQueue::complete(const ros::Time& stamp, const ros::Time& now, FrameMessages* frame) const {
+bool FrameQueue::complete(const ros::Time& stamp, const ros::Time& now,
+                          FrameMessages* frame) const {
   frame->labels = findAt(labels_, stamp);
   frame->label_info = findAt(label_info_, stamp);
   if (frame->labels == nullptr || frame->label_info == nullptr) return false;
@@ -72,7 +77,8 @@ bool FrameQueue::complete(const ros::Time& stamp, const ros::Time& now, FrameMes
     frame->depth = findAt(depth_, stamp);
     frame->camera_info = findAt(camera_info_, stamp);
     frame->constraints = findAt(constraints_, stamp);
-    return frame->depth != nullptr && frame->camera_info != nullptr && frame->constraints != nullptr;
+    return frame->depth != nullptr && frame->camera_info != nullptr &&
+           frame->constraints != nullptr;
   }
   frame->depth = findDepth(stamp);
   frame->camera_info = camera_info_.empty() ? nullptr : camera_info_.rbegin()->second;

@@ -51,15 +51,15 @@ void SemanticMapNode::advertise() {
   using Request = octomap_msgs::GetOctomap::Request;
   using Response = octomap_msgs::GetOctomap::Response;
   for (const WireFormat format : {WireFormat::kFull, WireFormat::kBinary}) {
-    const boost::function<bool(Request&, Response&)> answer = [this, format](Request&, Response& response) {
-      return onGetOctomap(format, &response);
-    };
-    services_.push_back(
-        nh_.advertiseService(format == WireFormat::kFull ? "octomap_full" : "octomap_binary", answer));
+    const boost::function<bool(Request&, Response&)> answer =
+        [this, format](Request&, Response& response) { return onGetOctomap(format, &response); };
+    services_.push_back(nh_.advertiseService(
+        format == WireFormat::kFull ? "octomap_full" : "octomap_binary", answer));
   }
+  timers_.push_back(nh_.createWallTimer(ros::WallDuration(params_.octomap_period_s),
+                                        &SemanticMapNode::publishOctomaps, this));
   timers_.push_back(
-      nh_.createWallTimer(ros::WallDuration(params_.octomap_period_s), &SemanticMapNode::publishOctomaps, this));
-  timers_.push_back(nh_.createWallTimer(ros::WallDuration(1.0), &SemanticMapNode::publishDiagnostics, this));
+      nh_.createWallTimer(ros::WallDuration(1.0), &SemanticMapNode::publishDiagnostics, this));
 }
 
 void SemanticMapNode::subscribe() {
@@ -68,9 +68,11 @@ void SemanticMapNode::subscribe() {
   const auto listen = [&](const std::string& topic, auto callback, auto message) {
     using Message = decltype(message);
     const boost::function<void(const boost::shared_ptr<Message const>&)> function = callback;
-    subscribers_.push_back(nh_.subscribe<Message>(topic, size, function, ros::VoidConstPtr(), hints));
+    subscribers_.push_back(
+        nh_.subscribe<Message>(topic, size, function, ros::VoidConstPtr(), hints));
   };
-  // Transforms are taken here rather than by a TransformListener, so that a frame is tried again when one arrives.
+  // Transforms are taken here rather than by a TransformListener, so that a frame is tried again
+  // when one arrives.
   listen("/tf", [this](const auto& m) { onTf(*m, false); }, tf2_msgs::TFMessage());
   listen("/tf_static", [this](const auto& m) { onTf(*m, true); }, tf2_msgs::TFMessage());
   listen("camera/depth/image_raw", [this](const auto& m) { onDepth(m); }, sensor_msgs::Image());
@@ -79,11 +81,15 @@ void SemanticMapNode::subscribe() {
     queue_.add(message);
     processQueue();
   };
-  listen("camera/color/camera_info", [enqueue](const auto& m) { enqueue(m, "camera_info"); },
-         sensor_msgs::CameraInfo());
-  listen("segmentation/label_info", [enqueue](const auto& m) { enqueue(m, "label_info"); }, core_msgs::LabelInfo());
-  listen("safety/constraints", [enqueue](const auto& m) { enqueue(m, "constraints"); },
-         core_msgs::SafetyConstraints());
+  listen(
+      "camera/color/camera_info", [enqueue](const auto& m) { enqueue(m, "camera_info"); },
+      sensor_msgs::CameraInfo());
+  listen(
+      "segmentation/label_info", [enqueue](const auto& m) { enqueue(m, "label_info"); },
+      core_msgs::LabelInfo());
+  listen(
+      "safety/constraints", [enqueue](const auto& m) { enqueue(m, "constraints"); },
+      core_msgs::SafetyConstraints());
   const auto on_labels = [this](const auto& message) {
     if (!hasStamp(*message, "labels")) return;
     queue_.add(message, false);
@@ -115,7 +121,8 @@ void SemanticMapNode::onTf(const tf2_msgs::TFMessage& message, bool is_static) {
   for (const geometry_msgs::TransformStamped& transform : message.transforms) {
     if (!is_static) {
       const double back_s = (tf_stamps_[transform.child_frame_id] - transform.header.stamp).toSec();
-      // After the clock was set back the buffer would refuse transforms as too old. Static ones survive clear().
+      // After the clock was set back the buffer would refuse transforms as too old. Static ones
+      // survive clear().
       if (back_s > longestStepBack()) {
         tf_.clear();
         tf_stamps_.clear();
@@ -150,7 +157,8 @@ bool SemanticMapNode::process(const FrameMessages& messages) {
     map_.update(frame, constraints);
     std_msgs::Header header = mapHeader();
     header.stamp = messages.depth->header.stamp;
-    publish(header, constraints, messages.constraints == nullptr ? ros::Time() : messages.constraints->image_stamp);
+    publish(header, constraints,
+            messages.constraints == nullptr ? ros::Time() : messages.constraints->image_stamp);
     ++n_frames_;
   } catch (const FrameError& error) {
     reject(error.reason(), error.what());
@@ -162,9 +170,10 @@ bool SemanticMapNode::process(const FrameMessages& messages) {
 
 bool SemanticMapNode::lookUpPose(const std_msgs::Header& header, Frame* frame) {
   try {
-    frame->T_map_camera = tf2::transformToEigen(tf_.lookupTransform(params_.map_frame, header.frame_id, header.stamp));
-    const Eigen::Isometry3d base =
-        tf2::transformToEigen(tf_.lookupTransform(params_.map_frame, params_.base_frame, header.stamp));
+    frame->T_map_camera = tf2::transformToEigen(
+        tf_.lookupTransform(params_.map_frame, header.frame_id, header.stamp));
+    const Eigen::Isometry3d base = tf2::transformToEigen(
+        tf_.lookupTransform(params_.map_frame, params_.base_frame, header.stamp));
     frame->p_map_base = Point2{base.translation().x(), base.translation().y()};
     return true;
   } catch (const tf2::TransformException& error) {
@@ -179,8 +188,10 @@ void SemanticMapNode::publish(const std_msgs::Header& header, const Constraints&
   grid_pub_.publish(safetyGridToMessage(grid, header, constraints_stamp));
   instances_pub_.publish(instancesToMessage(map_.instances(), constraints.predicates, header));
   const bool latch = params_.lockstep;
-  if (latch || probability_pub_.getNumSubscribers() > 0) probability_pub_.publish(probabilityToMessage(grid, header));
-  if (latch || unsafe_pub_.getNumSubscribers() > 0) unsafe_pub_.publish(decisionToMessage(grid, header));
+  if (latch || probability_pub_.getNumSubscribers() > 0)
+    probability_pub_.publish(probabilityToMessage(grid, header));
+  if (latch || unsafe_pub_.getNumSubscribers() > 0)
+    unsafe_pub_.publish(decisionToMessage(grid, header));
 }
 
 std_msgs::Header SemanticMapNode::mapHeader() const {
@@ -205,8 +216,11 @@ void SemanticMapNode::publishDiagnostics(const ros::WallTimerEvent&) {
   diagnostic_msgs::DiagnosticStatus status;
   status.name = "semantic_map";
   status.hardware_id = nh_.getNamespace();
-  status.level = last_rejection_.empty() ? diagnostic_msgs::DiagnosticStatus::OK : diagnostic_msgs::DiagnosticStatus::ERROR;
-  status.message = !last_rejection_.empty() ? last_rejection_ : n_frames_ > 0 ? "running" : "no frame yet";
+  status.level = last_rejection_.empty() ? diagnostic_msgs::DiagnosticStatus::OK
+                                         : diagnostic_msgs::DiagnosticStatus::ERROR;
+  status.message = !last_rejection_.empty() ? last_rejection_
+                   : n_frames_ > 0          ? "running"
+                                            : "no frame yet";
   status.values = {makeEntry("frames", std::to_string(n_frames_)),
                    makeEntry("rejected", std::to_string(n_rejected_)),
                    makeEntry("dropped", std::to_string(n_dropped_)),
@@ -238,7 +252,8 @@ bool SemanticMapNode::onReset(std_srvs::Empty::Request&, std_srvs::Empty::Respon
   return true;
 }
 
-bool SemanticMapNode::onGetOctomap(WireFormat format, octomap_msgs::GetOctomap::Response* response) {
+bool SemanticMapNode::onGetOctomap(WireFormat format,
+                                   octomap_msgs::GetOctomap::Response* response) {
   response->map = octomapToMessage(format, mapHeader(), &map_.votes().tree());
   return true;
 }

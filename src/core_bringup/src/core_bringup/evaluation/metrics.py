@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import math
 import struct
 from collections import Counter
@@ -73,8 +74,9 @@ def filter_stops(record: TickRecord) -> bool:
 
 
 def count_interventions(records: Sequence[TickRecord]) -> int:
-    """Number of episodes in which the filter changed the command or stopped it."""
-    return len(find_episodes(_times(records), [filter_intervenes(r) for r in records]))
+    """Number of episodes in which the filter changed the command or stopped it; waiting for the first input is none."""
+    started = list(itertools.dropwhile(lambda record: record.filter.mode == "STOPPED", records))
+    return len(find_episodes(_times(started), [filter_intervenes(r) for r in started]))
 
 
 def count_false_stops(records: Sequence[TickRecord], task) -> int:

@@ -34,23 +34,29 @@ struct FrameMessages {
 /// @throws FrameError image_encoding, image_size, frame_id, camera_invalid or distorted.
 Frame frameFromMessages(const FrameMessages& messages, bool ignore_distortion);
 
-/// Intrinsics for an image of this size; K is scaled where camera_info speaks of another size of the same shape.
+/// Intrinsics for an image of this size; K is scaled where camera_info speaks of another size of
+/// the same shape.
 /// @throws FrameError camera_invalid or distorted.
-Camera cameraFromMessage(const sensor_msgs::CameraInfo& info, int width_px, int height_px, bool ignore_distortion);
+Camera cameraFromMessage(const sensor_msgs::CameraInfo& info, int width_px, int height_px,
+                         bool ignore_distortion);
 
 /// No constraints (null) are constraints not in force.
-/// @throws FrameError constraints_invalid: unknown operator, verdict or severity, or a radius that is no radius.
+/// @throws FrameError constraints_invalid: unknown operator, verdict or severity, or a radius that
+/// is no radius.
 Constraints constraintsFromMessage(const core_msgs::SafetyConstraintsConstPtr& message);
 
 core_msgs::SafetyGrid safetyGridToMessage(const SafetyGrid& grid, const std_msgs::Header& header,
                                           const ros::Time& constraints_stamp);
 core_msgs::InstanceArray instancesToMessage(const std::vector<HeldInstance>& instances,
-                                            const std::vector<Predicate>& predicates, const std_msgs::Header& header);
+                                            const std::vector<Predicate>& predicates,
+                                            const std_msgs::Header& header);
 /// P(unsafe) in percent; 100 under a region, -1 unknown.
-nav_msgs::OccupancyGrid probabilityToMessage(const SafetyGrid& grid, const std_msgs::Header& header);
+nav_msgs::OccupancyGrid probabilityToMessage(const SafetyGrid& grid,
+                                             const std_msgs::Header& header);
 /// 0 safe, 100 unsafe, -1 unknown.
 nav_msgs::OccupancyGrid decisionToMessage(const SafetyGrid& grid, const std_msgs::Header& header);
-octomap_msgs::Octomap octomapToMessage(WireFormat format, const std_msgs::Header& header, SemanticOcTree* tree);
+octomap_msgs::Octomap octomapToMessage(WireFormat format, const std_msgs::Header& header,
+                                       SemanticOcTree* tree);
 
 /// A parameter tree as the parameter server gives it.
 ParamValue paramFromXmlRpc(const XmlRpc::XmlRpcValue& value);

@@ -10,12 +10,14 @@ namespace core_perception {
 
 /// Puts the messages of one instant together. Free of ROS time: the time now is an argument.
 ///
-/// Lock-step: a frame is complete when depth, camera_info, labels, label_info and constraints all have its stamp.
-/// Otherwise: labels and label_info have one stamp, the nearest depth is at most slop away, camera_info is the newest, and
-/// the constraints are the newest that hold at the given time; they may be missing.
+/// Lock-step: a frame is complete when depth, camera_info, labels, label_info and constraints all
+/// have its stamp. Otherwise: labels and label_info have one stamp, the nearest depth is at most
+/// slop away, camera_info is the newest, and the constraints are the newest that hold at the given
+/// time; they may be missing.
 class FrameQueue {
  public:
-  FrameQueue(bool lockstep, double slop_s, int size) : lockstep_(lockstep), slop_s_(slop_s), size_(size) {}
+  FrameQueue(bool lockstep, double slop_s, int size)
+      : lockstep_(lockstep), slop_s_(slop_s), size_(size) {}
 
   void add(const sensor_msgs::ImageConstPtr& image, bool is_depth);
   void add(const sensor_msgs::CameraInfoConstPtr& info);
@@ -24,7 +26,8 @@ class FrameQueue {
 
   /// Complete frames, oldest first. They stay in the queue until dropped.
   std::vector<FrameMessages> findComplete(const ros::Time& now) const;
-  /// Drops everything up to this stamp (labels within slop of it too), the constraints in force apart.
+  /// Drops everything up to this stamp (labels within slop of it too), the constraints in force
+  /// apart.
   /// @returns number of depth images dropped that were older.
   int dropUpTo(const ros::Time& stamp);
   /// Drops what is newer: it was sent before the clock was set back.
