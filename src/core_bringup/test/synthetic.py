@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Callable, List, Tuple
 
 import numpy as np
+
 from core_bringup.evaluation.grid_history import GridSnapshot
 from core_bringup.evaluation.records import FilterSample, OdometrySample, TickRecord, TruthSample
 

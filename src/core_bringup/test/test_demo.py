@@ -13,6 +13,7 @@ import uuid
 from pathlib import Path
 
 import pytest
+
 from core_bringup.evaluation import demo, demo_report, launcher
 from core_bringup.evaluation.demo_run import find_reason, find_refusal, read_marked, run_demo
 from core_bringup.evaluation.preflight import DemoRequest

@@ -6,9 +6,10 @@ import json
 import math
 
 import pytest
+from synthetic import SAFE_TASK, FakeTask, held, make_record, walk
+
 from core_bringup.evaluation import metrics
 from core_bringup.evaluation.results import RESULT_KEYS, TRAJECTORY_COLUMNS, atomic_path, write_json, write_trajectory
-from synthetic import SAFE_TASK, FakeTask, held, make_record, walk
 
 
 def test_episodes_closer_than_the_gap_are_one():

@@ -6,6 +6,8 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
+from synthetic import SAFE_TASK, FakeTask, held, make_grid, make_record, walk
+
 from core_bringup.camera import CameraModel
 from core_bringup.evaluation.frame_pictures import CAPTION_PX, camera_pose, draw_key_frame
 from core_bringup.evaluation.grid_history import GridHistory
@@ -13,7 +15,6 @@ from core_bringup.evaluation.key_frames import ColorImage, KeyFrameKeeper
 from core_bringup.evaluation.pictures import TopDownScene, draw_topdown, rectangle_corners, yaw_of
 from core_bringup.robot import CameraConfig, CameraMount
 from core_bringup.world_types import Surface, World, WorldObject
-from synthetic import SAFE_TASK, FakeTask, held, make_grid, make_record, walk
 
 CAMERA = CameraConfig(10.0, CameraMount(0.5, 0.0, 0.13, 0.0, 0.25, 0.0), CameraModel())
 

@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
+
 from core_bringup.evaluation import preflight
 from core_bringup.evaluation.monitor_params import MonitorParams
 from core_bringup.exceptions import ConfigError

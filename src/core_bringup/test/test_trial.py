@@ -5,10 +5,11 @@ import dataclasses
 import random
 
 import pytest
+from synthetic import PERIOD_S, REGION_X_M, SAFE_TASK, FakeTask, held, make_record, walk
+
 from core_bringup.evaluation.metrics import trajectory_sha256
 from core_bringup.evaluation.records import MAX_TICKS_AHEAD, LostRecordError, TickJoiner
 from core_bringup.evaluation.trial import OUTCOMES, TrialRecorder
-from synthetic import PERIOD_S, REGION_X_M, SAFE_TASK, FakeTask, held, make_record, walk
 
 
 def judge(task, records):

@@ -83,6 +83,13 @@ TEST(InstanceMemory, tells_neighbours_of_one_class_apart_and_keeps_their_numbers
   EXPECT_TRUE(memory.instances()[1].in_view);
 }
 
+TEST(InstanceMemory, two_that_one_frame_tells_apart_stay_two_although_they_touch) {
+  InstanceMemory memory{InstanceParams()};
+  const Detection a = makeDetection({3, 0}), b = makeDetection({3, 0.25});
+  for (int k = 0; k < 3; ++k) memory.update(1.0, {a, b}, hidden);
+  EXPECT_EQ(memory.instances().size(), 2u);
+}
+
 TEST(InstanceMemory, footprint_is_the_hull_of_all_views_but_bounded_for_a_small_object) {
   const InstanceParams params;
   InstanceMemory memory{params};

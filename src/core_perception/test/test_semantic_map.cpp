@@ -130,6 +130,32 @@ TEST(SemanticMap, obstacle_is_unsafe_whatever_the_predicates_say) {
   EXPECT_EQ(ruleAt(map.grid(), 2.9, 0.0), kMetricRule);
 }
 
+TEST(SemanticMap, unsafe_surface_is_unsafe_although_another_predicate_calls_it_safe) {
+  SemanticMap map{SemanticMapParams()};
+  Constraints rules = makeConeRules();
+  rules.predicates.push_back(makePredicate(SpatialOperator::kOn, "floor", Verdict::kUnsafe));
+  map.update(Scene().render(0.1, 0.0, 0.0, 0.0), rules);
+  EXPECT_EQ(stateAt(map.grid(), 3.0, 0.0), CellState::kUnsafe);
+  EXPECT_EQ(ruleAt(map.grid(), 3.0, 0.0), "ON(floor)");
+}
+
+TEST(SemanticMap, distance_follows_every_change_of_the_decision) {
+  SemanticMap map{SemanticMapParams()};
+  const Scene scene = makeConeLine();
+  for (int k = 1; k <= 8; ++k) {
+    // The robot turns, walks, stands still: cells change with and without a move of the window.
+    const Constraints rules = k == 1 ? Constraints() : makeConeRules();
+    const SafetyGrid& grid =
+        map.update(scene.render(k * kPeriod_s, 0.15 * (k / 2), 0.0, 0.1 * (k / 3)), rules);
+    Mask mask;
+    mask.width = grid.frame.width;
+    mask.height = grid.frame.height;
+    for (const CellState state : grid.state)
+      mask.unsafe.push_back(state == CellState::kSafe ? 0 : 1);
+    EXPECT_EQ(grid.h_m, computeSignedDistance(mask, 0.2, DistanceConvention::kBorder)) << k;
+  }
+}
+
 TEST(SemanticMap, what_hangs_above_the_robot_does_not_mark_the_floor) {
   SemanticMap map{SemanticMapParams()};
   Scene scene;

@@ -24,6 +24,7 @@ from core_bringup.world_types import World, WorldObject
 PHYSICS_RATE_HZ = 240
 FALLEN_TILT_RAD = 0.7
 _SOLVER_ITERATIONS = 50
+_WINDOW = "--width=1280 --height=800"
 
 
 class PybulletBackend(Backend):
@@ -70,7 +71,9 @@ class PybulletBackend(Backend):
             numSubSteps=0,
             physicsClientId=self._client,
         )
+        self._show(False)
         self._scene = PybulletScene(self._client, self._world, self._urdf_path, visual=self._gui)
+        self._show(True)
         self._foot_ids = [self._scene.link_ids[f"{leg}_foot"] for leg in LEGS]
         self._free_joints()
         x, y, yaw = start_pose
@@ -80,6 +83,7 @@ class PybulletBackend(Backend):
         self._controller.reset(self._read_robot(np.ones(4, dtype=bool)))
         self._contacts, self._trunk_down = np.ones(4, dtype=bool), False
         self._state = self._read_state()
+        self._follow(self._state.p_world_base)
         return self._state
 
     def step(self, command: np.ndarray, duration_s: float) -> RobotState:
@@ -101,6 +105,7 @@ class PybulletBackend(Backend):
             self._ticks += 1
             self._read_contacts()
         self._state = self._read_state()
+        self._follow(self._state.p_world_base)
         return self._state
 
     @property
@@ -179,13 +184,27 @@ class PybulletBackend(Backend):
             fallen=bool(self._trunk_down or tilt_rad > FALLEN_TILT_RAD),
         )
 
+    def _show(self, visible: bool) -> None:
+        """Draw in the window or not: drawing every body as it is loaded takes minutes."""
+        if self._gui:
+            client = self._client
+            pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_RENDERING, int(visible), physicsClientId=client)
+
+    def _follow(self, p_world_base: np.ndarray) -> None:
+        """Point the window's camera at the robot, from behind and above."""
+        if self._gui:
+            pybullet.resetDebugVisualizerCamera(4.0, -60.0, -25.0, p_world_base.tolist(), physicsClientId=self._client)
+
 
 def _connect(gui: bool) -> int:
     if gui and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):  # PyBullet would end the process
         raise BringupError("gui: there is no display (DISPLAY is not set); allowed here: gui false")
-    client = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
+    client = pybullet.connect(pybullet.GUI, options=_WINDOW) if gui else pybullet.connect(pybullet.DIRECT)
     if client < 0:
         raise BringupError("PyBullet did not start")
+    if gui:
+        pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_GUI, 0, physicsClientId=client)
+        pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_SHADOWS, 0, physicsClientId=client)
     return client
 
 

@@ -9,12 +9,12 @@ from typing import Sequence
 
 import cv2
 import numpy as np
-from core_perception.overlay import GridView, draw_overlay
 
 from core_bringup.evaluation.key_frames import KeyFrame
 from core_bringup.evaluation.records import OdometrySample
 from core_bringup.evaluation.results import atomic_path
 from core_bringup.robot import CameraConfig
+from core_perception.overlay import GridView, draw_overlay
 
 SCALE = 2
 CAPTION_PX = 66

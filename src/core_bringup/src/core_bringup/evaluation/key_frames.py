@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import Dict, Generic, List, Optional, Tuple, TypeVar
 
 import numpy as np
-from core_perception.predicates import Predicate
 
 from core_bringup.evaluation.grid_history import GridSnapshot
 from core_bringup.evaluation.metrics import filter_intervenes
 from core_bringup.evaluation.records import OdometrySample, TickRecord
+from core_perception.predicates import Predicate
 
 BUFFER_NS = 3_000_000_000  # frames, poses and grids older than this are dropped unless they were chosen
 T = TypeVar("T")

@@ -10,14 +10,14 @@ from typing import Callable, Dict, Optional, Sequence
 
 import rospkg
 import yaml
-from core_control.params import FilterParams, WaypointParams
-from core_perception.params import ReasonerParams, SegmenterParams
 
 from core_bringup.exceptions import ConfigError
 from core_bringup.params import BACKENDS, BridgeParams
 from core_bringup.params import find_robot_file as shipped_robot_file
 from core_bringup.robot import RobotConfig
 from core_bringup.world import load_world
+from core_control.params import FilterParams, WaypointParams
+from core_perception.params import ReasonerParams, SegmenterParams
 
 SOURCE = "demo"
 METHODS = ("core", "none")

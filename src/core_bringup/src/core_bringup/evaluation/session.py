@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
-from core_perception.predicates import Predicate
 
 from core_bringup.evaluation.frame_pictures import draw_key_frame
 from core_bringup.evaluation.grid_history import GridHistory, GridSnapshot
@@ -21,6 +20,7 @@ from core_bringup.evaluation.results import RESULT_KEYS, read_versions, write_js
 from core_bringup.evaluation.trial import TrialRecorder
 from core_bringup.robot import RobotConfig
 from core_bringup.world import load_world, vary_world
+from core_perception.predicates import Predicate
 
 
 class TrialSession:

@@ -11,7 +11,6 @@ from typing import Callable, List, Optional, Tuple
 
 import rospy
 from core_msgs.msg import FilterState, SafetyConstraints, SafetyGrid, Violation
-from core_perception.ros.conversions import color_to_rgb, constraints_from_msg, depth_to_m
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from nav_msgs.msg import Odometry
 from rospy.numpy_msg import numpy_msg
@@ -23,6 +22,7 @@ from core_bringup.evaluation.monitor_params import MonitorParams
 from core_bringup.evaluation.session import TrialSession
 from core_bringup.exceptions import BringupError
 from core_bringup.ros import trial_conversions as convert
+from core_perception.ros.conversions import color_to_rgb, constraints_from_msg, depth_to_m
 
 PROGRESS_PERIOD_S = 0.5
 UNPAUSE_TIMEOUT_S = 5.0
