@@ -20,7 +20,7 @@ class LockstepStall(unittest.TestCase):
         ticks, errors = [], []
         subscribers = [
             rospy.Subscriber("cbf_filter/state", FilterState, lambda m: ticks.append(m.tick)),
-            rospy.Subscriber("/rosout_agg", Log, lambda m: errors.append(m) if m.level >= Log.ERROR else None),
+            rospy.Subscriber("/rosout", Log, lambda m: errors.append(m) if m.level >= Log.ERROR else None),
         ]
         wait_for(self, lambda: ticks and ticks[-1] > 20, DEADLINE_S, "the run to be under way")
         pid = node_pid("segmenter")
