@@ -3,7 +3,7 @@
 # The one entry of CORE for ROS 1: sets a machine up once, then routes to the programs of the packages.
 set -euo pipefail
 
-here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
+here=$(dirname "$(readlink -f "${BASH_SOURCE[0]}")")    # the same place, whatever link it is called by
 venv=$here/.venv
 state=$here/.core
 noetic=/opt/ros/noetic/setup.bash
@@ -121,9 +121,13 @@ setup() {
 # ---- environment --------------------------------------------------------------------------------------------------------------
 
 environment() {    # shell code on stdout
+  # The set-up files of ROS read variables that are not set.
   cat <<EOT
+case \$- in *u*) core_nounset=1; set +u ;; *) core_nounset= ;; esac
 if [ -f $noetic ]; then . $noetic; fi
 . "$here/devel/setup.bash"
+if [ -n "\$core_nounset" ]; then set -u; fi
+unset core_nounset
 export PATH="$venv/bin:\$PATH" VIRTUAL_ENV="$venv"
 export ROS_HOSTNAME="\${ROS_HOSTNAME:-localhost}" ROS_MASTER_URI="\${ROS_MASTER_URI:-http://localhost:11311}"
 export OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
