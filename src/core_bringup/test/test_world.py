@@ -128,6 +128,13 @@ def refusal(path):
     return message
 
 
+@pytest.mark.parametrize("content", ["", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "f 1 2 3\n", "\udc80 no text"])
+def test_a_mesh_without_faces_is_refused_because_it_would_be_drawn_as_nothing(tmp_path, content):
+    path = write(tmp_path, GOOD)
+    (tmp_path / "cone.obj").write_bytes(content.encode("utf-8", "surrogateescape"))
+    assert "objects[2].mesh: " in refusal(path) and "holds no face" in refusal(path)
+
+
 def test_small_world_loads_with_its_defaults(tmp_path):
     world = load_world(write(tmp_path, GOOD))
     assert [item.id for item in world.objects] == [2, 3, 4]

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Dict
 
 import numpy as np
@@ -50,6 +51,8 @@ def _check_objects(source: YamlSource, world: World) -> None:
 
         if item.mesh is not None and not item.mesh.is_file():
             raise source.error(path_of("mesh"), f"no file {item.mesh}", "an OBJ file, relative to the world file")
+        if item.mesh is not None and not has_faces(item.mesh):
+            raise source.error(path_of("mesh"), f"{item.mesh} holds no face", "an OBJ file with vertices and faces")
         written = {**source.data.get("models", {}).get(model, {}), **source.data["objects"][i]}
         if item.mesh is None and "mesh" in written:
             raise source.error(path_of("mesh"), f"given for shape {item.shape!r}", "mesh only with shape: mesh")
@@ -57,6 +60,13 @@ def _check_objects(source: YamlSource, world: World) -> None:
         if is_round and item.size_m[0] != item.size_m[1]:
             problem = f"a cylinder with x {item.size_m[0]} and y {item.size_m[1]}"
             raise source.error(path_of("size_m"), problem, "equal x and y (the diameter)")
+
+
+def has_faces(path: Path) -> bool:
+    """Whether a file has the vertices and faces of an OBJ; PyBullet takes any other file for an invisible object."""
+    words = [line.split()[:4] for line in path.read_bytes().splitlines()]
+    vertices = sum(len(line) == 4 and line[0] == b"v" for line in words)
+    return vertices >= 3 and any(len(line) == 4 and line[0] == b"f" for line in words)
 
 
 def _check_surfaces(source: YamlSource, world: World) -> None:
