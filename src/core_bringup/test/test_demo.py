@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from core_bringup.evaluation import demo, demo_report, launcher
-from core_bringup.evaluation.demo_run import find_reason, find_refusal, read_marked, run_demo
+from core_bringup.evaluation.demo_run import find_cause, find_reason, find_refusal, read_marked, run_demo
 from core_bringup.evaluation.preflight import DemoRequest
 from core_bringup.evaluation.results import RESULT_KEYS
 from core_bringup.exceptions import ConfigError
@@ -148,6 +148,28 @@ def test_an_error_outcome_gives_exit_1_with_its_detail(fake, request_):
     body = 'result["outcome"] = "error"; result["end_detail"] = "no tick for 90 s"; say("result " + json.dumps(result))'
     report = run_demo(request_, print, fake(body))
     assert report.exit_code == 1 and report.failure == "no tick for 90 s" and report.result["outcome"] == "error"
+
+
+def test_a_node_that_died_is_named_before_what_the_monitor_saw(fake, request_):
+    body = """
+say("REQUIRED process [semantic_map-6] has died!"); say("process has died [pid 7, exit code -9, cmd /x/semantic_map].")
+result["outcome"] = "error"; result["end_detail"] = "shut down before the trial was over"
+say("result " + json.dumps(result)); say("REQUIRED process [trial_monitor-9] has died!")
+"""
+    report = run_demo(request_, print, fake(body))
+    assert report.failure == "semantic_map has died (exit code -9); shut down before the trial was over"
+
+
+def test_the_cause_is_the_fatal_line_then_the_first_death():
+    assert (
+        find_cause(["[a-1] process has died [pid 1, exit code 1, cmd x]", "[FATAL] [1]: stalled"])
+        == "[FATAL] [1]: stalled"
+    )
+    assert (
+        find_cause(["[a-1] process has died [pid 1, exit code 1, cmd x]", "[b-2] has died"])
+        == "a has died (exit code 1)"
+    )
+    assert find_cause(["hello"]) == ""
 
 
 def test_reasons_are_looked_for_in_order_of_worth():

@@ -23,6 +23,8 @@ MAX_SILENCE_S = 240.0
 MAX_ENDING_S = 20.0
 STALE_FILES = ("result.json", "topdown.png", "frame_1.png", "frame_2.png", "frame_3.png", "trajectory.csv")
 BAD_INPUT = re.compile(r"exit code 2, cmd (?P<cmd>\S+)(?P<rest>.*)")
+DEATH = re.compile(r"\[(?P<node>[\w/.-]+)-\d+\] (?:process )?has died")
+EXIT_CODE = re.compile(r"exit code (?P<code>-?\d+)")
 NODE_NAME = re.compile(r"__name:=([\w/.-]+)")
 ROSLAUNCH_NOISE = ("process[", "REQUIRED process", "[", "log file", "Initiating shutdown", "====")
 
@@ -114,6 +116,10 @@ def _judge(log: Sequence[str], failure: str) -> RunReport:
         return RunReport(0, result)
     if not failure and result is not None:
         failure = str(result.get("end_detail") or "the trial ended as an error")
+        # What happened before the monitor gave up is the cause; afterwards the monitor itself is reported as dead.
+        judged_at = next(i for i, line in enumerate(log) if read_marked(line, "result") is not None)
+        cause = find_cause(log[:judged_at])
+        failure = f"{cause}; {failure}" if cause else failure
     tail = [line for line in log if not line.startswith("result {")][-TAIL_LINES:]
     return RunReport(1, result, failure or find_reason(log), tail)
 
@@ -131,9 +137,24 @@ def find_refusal(log: Sequence[str]) -> Optional[str]:
     return None
 
 
+def find_cause(log: Sequence[str]) -> str:
+    """What a node said when it gave up, or else which node died first; empty when neither is in the log."""
+    fatal = next((line.strip() for line in log if "[FATAL]" in line), "")
+    if fatal:
+        return fatal
+    for i, line in enumerate(log):
+        match = DEATH.search(line)
+        if match is not None:
+            code = EXIT_CODE.search(" ".join(log[i : i + 2]))
+            return f"{match.group('node')} has died" + (f" (exit code {code.group('code')})" if code else "")
+    return ""
+
+
 def find_reason(log: Sequence[str]) -> str:
     """The line that most likely says why the graph ended without a result."""
-    for sign in ("RLException", "[FATAL]", "[ERROR]", "Error:", "has died", "ERROR"):
+    if not any("RLException" in line for line in log) and find_cause(log):
+        return find_cause(log)
+    for sign in ("RLException", "[ERROR]", "Error:", "has died", "ERROR"):
         said = [line for line in log if sign in line]
         if said:
             return said[0].strip()
