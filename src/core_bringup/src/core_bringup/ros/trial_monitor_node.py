@@ -170,6 +170,6 @@ def main() -> int:
         session = TrialSession(params)
     except BringupError as error:
         text = str(error)
-        print(text if text.startswith("trial_monitor") else f"trial_monitor: {text}", file=sys.stderr, flush=True)
+        sys.stderr.write(f"{text}\n" if text.startswith("trial_monitor") else f"trial_monitor: {text}\n")
         return 2
     return TrialMonitorNode(params, session).run()

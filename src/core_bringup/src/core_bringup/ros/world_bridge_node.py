@@ -68,7 +68,8 @@ def main() -> int:
         simulation = Simulation(params)
         run_bridge(params, simulation)
     except ConfigError as error:
-        print(error if error.source == NODE else f"{NODE}: {error}", file=sys.stderr)
+        # One write: print() would write the end of the line apart, and other nodes' lines come in between.
+        sys.stderr.write(f"{error}\n" if error.source == NODE else f"{NODE}: {error}\n")
         return EXIT_BAD_INPUT
     except BringupError as error:
         if rospy.is_shutdown():

@@ -29,7 +29,8 @@ def run_node(name: str, params_class, node_class) -> int:
     try:
         node = node_class(params_class.from_dict(rospy.get_param("~", {})))
     except PerceptionError as error:
-        print(f"{rospy.get_name().lstrip('/')}: {error}", file=sys.stderr)
+        # One write: print() would write the end of the line apart, and other nodes' lines come in between.
+        sys.stderr.write(f"{rospy.get_name().lstrip('/')}: {error}\n")
         return BAD_INPUT_EXIT_STATUS
     rospy.spin()
     del node
