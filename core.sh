@@ -38,6 +38,8 @@ fail() { say "$*"; exit 1; }
 
 missing_packages() {
   local wanted
+  if [ -f "$noetic" ]; then return; fi    # a ROS Noetic machine brings its own packages
+  command -v dpkg-query >/dev/null || fail "this is neither Debian 12 nor a machine with ROS Noetic; see README, Limits"
   wanted=$(sed -e 's/#.*//' -e '/^[[:space:]]*$/d' "$here/apt-packages.txt")
   # shellcheck disable=SC2086
   comm -23 <(printf '%s\n' $wanted | sort) \
@@ -45,8 +47,6 @@ missing_packages() {
 }
 
 ensure_packages() {
-  if [ -f "$noetic" ]; then return; fi    # a ROS Noetic machine brings its own packages
-  command -v dpkg-query >/dev/null || fail "this is neither Debian 12 nor a machine with ROS Noetic; see README, Limits"
   local missing
   missing=$(missing_packages | tr '\n' ' ')
   [ -n "${missing// /}" ] || return 0
@@ -65,17 +65,21 @@ ensure_packages() {
     >"$state/apt.log" 2>&1 || { tail -n 20 "$state/apt.log" >&2; fail "apt-get failed; its output is in .core/apt.log"; }
 }
 
+venv_stamp() {
+  cat "$here/requirements.txt" <(/usr/bin/python3 --version) <(printf '%s' "$here") | sha256sum | cut -d' ' -f1
+}
+
+venv_is_current() { [ "$(cat "$state/venv.stamp" 2>/dev/null)" = "$(venv_stamp)" ]; }
+
 ensure_venv() {
-  local stamp
-  stamp=$(cat "$here/requirements.txt" <(/usr/bin/python3 --version) <(printf '%s' "$here") | sha256sum | cut -d' ' -f1)
-  [ "$(cat "$state/venv.stamp" 2>/dev/null)" != "$stamp" ] || return 0
+  if venv_is_current; then return 0; fi
   say "making the Python environment .venv (about half a minute)"
   mkdir -p "$state"
   {
     rm -rf "$venv" && /usr/bin/python3 -m venv --system-site-packages "$venv" &&
       "$venv/bin/python3" -m pip install -q --disable-pip-version-check -r "$here/requirements.txt"
   } >"$state/pip.log" 2>&1 || { tail -n 20 "$state/pip.log" >&2; fail "pip failed; its output is in .core/pip.log"; }
-  printf '%s' "$stamp" >"$state/venv.stamp"
+  venv_stamp >"$state/venv.stamp"
 }
 
 # What a build depends on: the names of all files in the packages, and the newest change of those that are compiled or configured.
@@ -97,24 +101,34 @@ workspace_make() {
     "-DCATKIN_BLACKLIST_PACKAGES=$ignored" "$@")
 }
 
+build_is_current() { [ "$(cat "$state/build.stamp" 2>/dev/null)" = "$(build_stamp)" ]; }
+
 ensure_build() {
   local stamp
   stamp=$(build_stamp)
-  [ "$(cat "$state/build.stamp" 2>/dev/null)" != "$stamp" ] || return 0
+  if build_is_current; then return 0; fi
   say "building the catkin workspace (about two minutes the first time)"
   workspace_make >"$state/build.log" 2>&1 || { tail -n 40 "$state/build.log" >&2; fail "the build failed; its output is in .core/build.log"; }
   printf '%s' "$stamp" >"$state/build.stamp"
 }
 
+is_set_up() { [ -z "$(missing_packages)" ] && venv_is_current && build_is_current; }
+
 setup() {
-  mkdir -p "$state"
-  ensure_packages
-  ensure_venv
-  load_tools
-  exec 9>"$state/lock"    # two calls at once: the second waits for the first one's build
-  flock 9
-  ensure_build
-  exec 9>&-
+  case $here in *[[:space:]]*) fail "catkin cannot build in a path with a space: $here; move the checkout" ;; esac
+  if ! is_set_up; then
+    # Two calls at once: the second waits for what the first installs and builds.
+    if ! { mkdir -p "$state" && touch "$state/lock"; } 2>/dev/null; then
+      fail "something is missing, and $state cannot be written; its owner must run ./core.sh setup"
+    fi
+    exec 9>"$state/lock"
+    flock -n 9 || { say "waiting for another call that is setting up"; flock 9; }
+    ensure_packages
+    ensure_venv
+    load_tools
+    ensure_build
+    exec 9>&-
+  fi
   load_workspace
 }
 
