@@ -102,21 +102,18 @@ bool isUnsafeClass(const std::string& class_name, const std::vector<Predicate>& 
 void forEachCell(const Region& region, const GridFrame& grid,
                  const std::function<void(size_t)>& visit) {
   const double res = grid.resolution_m;
-  const auto clamp = [](int value, int size) { return std::min(std::max(value, 0), size); };
+  // Clamped before it becomes an integer: a radius may reach farther than an integer can say.
+  const auto find = [res](double edge_m, int origin, int size) {
+    const double cell = std::floor(edge_m / res) - origin;
+    return static_cast<int>(std::min(std::max(cell, -1.0), static_cast<double>(size)));
+  };
   for (const Polygon& part : region.parts) {
     const Box2 box = computeBounds(part);
-    const int x0 =
-        clamp(static_cast<int>(std::floor((box.min_x - region.radius_m) / res)) - grid.origin.x,
-              grid.width);
-    const int y0 =
-        clamp(static_cast<int>(std::floor((box.min_y - region.radius_m) / res)) - grid.origin.y,
-              grid.height);
-    const int x1 =
-        clamp(static_cast<int>(std::floor((box.max_x + region.radius_m) / res)) - grid.origin.x + 1,
-              grid.width);
-    const int y1 =
-        clamp(static_cast<int>(std::floor((box.max_y + region.radius_m) / res)) - grid.origin.y + 1,
-              grid.height);
+    const double r = region.radius_m;
+    const int x0 = std::max(0, find(box.min_x - r, grid.origin.x, grid.width));
+    const int y0 = std::max(0, find(box.min_y - r, grid.origin.y, grid.height));
+    const int x1 = std::min(grid.width, find(box.max_x + r, grid.origin.x, grid.width) + 1);
+    const int y1 = std::min(grid.height, find(box.max_y + r, grid.origin.y, grid.height) + 1);
     for (int y = y0; y < y1; ++y) {
       for (int x = x0; x < x1; ++x) {
         const Point2 centre{(grid.origin.x + x + 0.5) * res, (grid.origin.y + y + 0.5) * res};

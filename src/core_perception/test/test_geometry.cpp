@@ -153,6 +153,21 @@ TEST(Regions, region_beyond_the_window_is_cut_off) {
   EXPECT_EQ(*visited.rbegin(), 99u);
 }
 
+TEST(Regions, region_wider_than_an_integer_can_say_covers_the_whole_window) {
+  GridFrame grid;
+  grid.origin = {-5, 7};
+  grid.width = grid.height = 10;
+  grid.resolution_m = 0.2;
+  for (const double radius_m : {1e3, 1e9, 1e38}) {
+    Region region;
+    region.parts = {makeSquare({1.0, 1.0}, 0.3)};
+    region.radius_m = radius_m;
+    std::set<size_t> visited;
+    forEachCell(region, grid, [&](size_t i) { visited.insert(i); });
+    EXPECT_EQ(visited.size(), 100u) << radius_m;
+  }
+}
+
 }  // namespace
 }  // namespace core_perception
 
