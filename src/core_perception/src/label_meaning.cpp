@@ -9,15 +9,26 @@ namespace core_perception {
 LabelMeanings::LabelMeanings(const std::vector<std::string>& surface_classes)
     : surface_classes_(surface_classes), table_(65536) {}
 
+bool LabelMeanings::isSurface(const std::string& class_name,
+                              const std::vector<Predicate>& predicates) const {
+  if (std::count(surface_classes_.begin(), surface_classes_.end(), class_name) > 0) return true;
+  bool on = false, as_object = false;
+  for (const Predicate& predicate : predicates) {
+    if (predicate.class_name != class_name) continue;
+    const bool is_on = predicate.spatial_operator == SpatialOperator::kOn;
+    on = on || is_on;
+    as_object = as_object || (!is_on && predicate.isUnsafe());
+  }
+  return on && !as_object;
+}
+
 LabelMeaning LabelMeanings::makeMeaning(const std::string& class_name,
                                         const std::vector<Predicate>& predicates,
                                         CauseTable* causes) const {
   bool safe = false, unsafe = false;
-  bool surface = std::count(surface_classes_.begin(), surface_classes_.end(), class_name) > 0;
   std::string rule = kNotSafeRule;
   for (const Predicate& predicate : predicates) {
     if (predicate.class_name != class_name) continue;
-    if (predicate.spatial_operator == SpatialOperator::kOn) surface = true;
     const bool own_pixels = predicate.spatial_operator == SpatialOperator::kOn ||
                             predicate.spatial_operator == SpatialOperator::kNear;
     if (own_pixels && predicate.isBarrier()) {
@@ -28,7 +39,7 @@ LabelMeaning LabelMeanings::makeMeaning(const std::string& class_name,
   }
   LabelMeaning meaning;
   meaning.safe = safe && !unsafe;
-  meaning.instance_slot = surface ? -1 : 0;
+  meaning.instance_slot = isSurface(class_name, predicates) ? -1 : 0;
   meaning.cause = causes->intern(rule, class_name);
   meaning.metric_cause = causes->intern(kMetricRule, class_name);
   return meaning;

@@ -45,7 +45,7 @@ const SafetyGrid& SemanticMap::update(const Frame& frame, const Constraints& con
     }
   }
   for (const Predicate& predicate : predicates) {
-    if (predicate.spatial_operator == SpatialOperator::kOn)
+    if (meanings_.isSurface(predicate.class_name, predicates))
       memory_.forgetClass(predicate.class_name);
   }
   std::vector<std::string> class_names;

@@ -139,6 +139,32 @@ TEST(SemanticMap, unsafe_surface_is_unsafe_although_another_predicate_calls_it_s
   EXPECT_EQ(ruleAt(map.grid(), 3.0, 0.0), "ON(floor)");
 }
 
+TEST(SemanticMap, predicate_on_an_object_does_not_undo_the_regions_it_makes) {
+  for (const Verdict verdict : {Verdict::kSafe, Verdict::kUnsafe}) {
+    SemanticMap map{SemanticMapParams()};
+    Constraints rules = makeConeRules();
+    int k = 0;
+    while (++k <= 3) map.update(makeConeLine().render(k * kPeriod_s, 0.0, 0.0, 0.0), rules);
+    ASSERT_EQ(ruleAt(map.grid(), 4.9, 0.5), "BETWEEN(traffic_cone)");
+    rules.predicates.push_back(makePredicate(SpatialOperator::kOn, "traffic_cone", verdict));
+    while (++k <= 9) map.update(makeConeLine().render(k * kPeriod_s, 0.0, 0.0, 0.0), rules);
+    EXPECT_EQ(map.instances().size(), 5u);
+    EXPECT_EQ(stateAt(map.grid(), 4.9, 0.5), CellState::kUnsafe);
+    EXPECT_EQ(ruleAt(map.grid(), 4.9, 0.5), "BETWEEN(traffic_cone)");
+  }
+}
+
+TEST(SemanticMap, class_that_only_on_speaks_of_is_a_surface_and_no_object) {
+  SemanticMap map{SemanticMapParams()};
+  Constraints rules = makeConeRules();
+  rules.predicates = {makePredicate(SpatialOperator::kOn, "traffic_cone", Verdict::kUnsafe)};
+  for (int k = 1; k <= 2; ++k)
+    map.update(makeConeLine().render(k * kPeriod_s, 0.0, 0.0, 0.0), Constraints());
+  ASSERT_EQ(map.instances().size(), 5u);
+  map.update(makeConeLine().render(3 * kPeriod_s, 0.0, 0.0, 0.0), rules);
+  EXPECT_TRUE(map.instances().empty());
+}
+
 TEST(SemanticMap, distance_follows_every_change_of_the_decision) {
   SemanticMap map{SemanticMapParams()};
   const Scene scene = makeConeLine();

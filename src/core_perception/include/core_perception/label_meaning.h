@@ -21,16 +21,18 @@ struct LabelMeaning {
 
 /// Meaning of every label value of a frame under the constraints in force.
 ///
-/// A class is safe ground when ON or NEAR of it is safe and none of the two is unsafe; everything
-/// else is not safe, label 0 and values that Frame::classes does not list included. Safe AROUND and
-/// BETWEEN never make safe ground. A class is a surface, never an instance, when it is listed or ON
-/// is applied to it.
+/// A class is safe ground when ON or NEAR of it is safe and none of the two is unsafe with severity
+/// STOP; everything else is not safe, label 0 and values that Frame::classes does not list
+/// included. Safe AROUND and BETWEEN never make safe ground.
 class LabelMeanings {
  public:
   explicit LabelMeanings(const std::vector<std::string>& surface_classes);
 
   void build(const std::vector<LabelClass>& classes, const std::vector<Predicate>& predicates,
              CauseTable* causes);
+  /// A class is a surface, never an instance, when it is listed, or when ON is applied to it and no
+  /// unsafe NEAR, AROUND or BETWEEN speaks of it: one more predicate must not undo a region.
+  bool isSurface(const std::string& class_name, const std::vector<Predicate>& predicates) const;
   const LabelMeaning& operator[](uint16_t label) const { return table_[label]; }
 
  private:
