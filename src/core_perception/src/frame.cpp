@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <map>
 
 #include "core_perception/exceptions.h"
 
@@ -32,6 +33,17 @@ void checkImages(const Frame& frame) {
                                        formatSize(labels.cols, labels.rows) + ", camera " +
                                        formatSize(camera.width_px, camera.height_px) +
                                        " must be equal");
+  }
+}
+
+/// A label that stands for two classes could hide an unsafe one behind a safe one.
+void checkClasses(const Frame& frame) {
+  std::map<uint16_t, std::string> names;
+  for (const LabelClass& listed : frame.classes) {
+    const auto& known = *names.emplace(listed.id, listed.class_name).first;
+    if (known.second == listed.class_name) continue;
+    throw FrameError("labels_invalid", "label " + std::to_string(listed.id) + " is listed as " +
+                                           known.second + " and as " + listed.class_name);
   }
 }
 
@@ -88,6 +100,7 @@ double computeLongestRay(const Camera& camera) {
 
 void checkFrame(const Frame& frame) {
   checkImages(frame);
+  checkClasses(frame);
   const Camera& camera = frame.camera;
   if (!isPositive(camera.fx_px) || !isPositive(camera.fy_px) || !std::isfinite(camera.cx_px) ||
       !std::isfinite(camera.cy_px)) {

@@ -235,7 +235,7 @@ TEST(SemanticMap, refused_frame_changes_nothing) {
   map.update(scene.render(0.1, 0.0, 0.0, 0.0), makeConeRules());
   const SafetyGrid before = map.grid();
   const size_t nodes = map.votes().tree().size();
-  std::vector<Frame> bad(10, scene.render(0.2, 1.0, 0.0, 0.0));
+  std::vector<Frame> bad(11, scene.render(0.2, 1.0, 0.0, 0.0));
   bad[0].labels = bad[0].labels.rowRange(0, 100).clone();
   bad[1].depth.convertTo(bad[1].depth, CV_64F);
   bad[2].camera.fx_px = 0.0;
@@ -246,6 +246,7 @@ TEST(SemanticMap, refused_frame_changes_nothing) {
   bad[7].camera.cx_px = 1e9;
   bad[8].p_map_base.y = 1e300;
   bad[9].T_map_camera.linear() *= 2.0;
+  bad[10].classes.push_back({bad[10].classes.back().id, "floor"});
   for (const Frame& frame : bad) EXPECT_THROW(map.update(frame, makeConeRules()), FrameError);
   EXPECT_EQ(map.votes().tree().size(), nodes);
   EXPECT_EQ(map.grid().state, before.state);

@@ -43,8 +43,8 @@ Camera scaleCamera(const Camera& camera, int width_px, int height_px);
 /// Length of the longest ray of the image per metre of depth.
 double computeLongestRay(const Camera& camera);
 
-/// @throws FrameError image_empty, image_type, image_size, camera_invalid, stamp_invalid or
-/// pose_invalid.
+/// @throws FrameError image_empty, image_type, image_size, labels_invalid, camera_invalid,
+/// stamp_invalid or pose_invalid.
 void checkFrame(const Frame& frame);
 
 /// Depth in metres as CV_32FC1; whatever is NaN, infinite, zero or negative becomes 0.
