@@ -43,6 +43,10 @@ void readVote(ParamReader* reader, VoteParams* p) {
   reader->read("metric_layer", &p->metric_layer);
   reader->read("metric_min_points", &p->metric_min_points, {1, 1000});
   reader->read("free_space_clearing", &p->free_space_clearing);
+  if (p->column == "sum" && p->free_space_clearing) {
+    // What is taken from a voxel cannot be taken from a sum of pixels that never forgets.
+    throw ParameterError("free_space_clearing", "true", "false with column sum");
+  }
 }
 
 void readInstance(ParamReader* reader, InstanceParams* p) {
@@ -79,6 +83,8 @@ SemanticMapParams SemanticMapParams::fromReader(ParamReader* reader) {
                1000.0 * p.resolution_m + 1e-9);
   requireBelow("range_max_m", p.range.range_max_m, "200 cells of resolution_m",
                200.0 * p.resolution_m + 1e-9);
+  requireBelow("tree_max_z_m", p.range.tree_max_z_m, "tree_min_z_m + 200 cells of resolution_m",
+               p.range.tree_min_z_m + 200.0 * p.resolution_m + 1e-9);
   return p;
 }
 

@@ -95,6 +95,17 @@ TEST(Params, every_bad_value_is_refused_by_name) {
   }
 }
 
+TEST(Params, values_that_contradict_each_other_are_refused) {
+  const ParamValue sum = ParamValue::ofString("sum");
+  EXPECT_EQ(findError({{"column", sum}}).find("free_space_clearing: got true"), 0u);
+  EXPECT_EQ(findError({{"column", sum}, {"free_space_clearing", ParamValue::ofBool(false)}}), "");
+  // The scratch volume is counted in 32 bits.
+  const ParamMap fine{{"resolution_m", ParamValue::ofDouble(0.02)},
+                      {"range_max_m", ParamValue::ofDouble(4.0)},
+                      {"tree_max_z_m", ParamValue::ofDouble(3.5)}};
+  EXPECT_EQ(findError(fine).find("tree_max_z_m: got 3.5"), 0u) << findError(fine);
+}
+
 TEST(Params, wrong_item_of_a_list_is_refused) {
   EXPECT_NE(findError({{"surface_classes", makeList({ParamValue::ofInt(3)})}}), "");
 }
