@@ -48,7 +48,7 @@ void checkClasses(const Frame& frame) {
 }
 
 void checkPose(const Frame& frame) {
-  // 5 km is what a tree of 2^16 cells of 0.2 m can hold; resolution decides the rest in VoteMap.
+  // 5 km is what a tree of 2^16 cells of 0.2 m can hold; for finer ones SemanticMap checks.
   constexpr double kFarthest_m = 5000.0;
   const Eigen::Matrix3d R = frame.T_map_camera.linear();
   const double farthest_m = frame.T_map_camera.translation().cwiseAbs().maxCoeff();

@@ -4,9 +4,21 @@
 #include <cmath>
 #include <limits>
 
+#include "core_perception/exceptions.h"
 #include "core_perception/place_probe.h"
 
 namespace core_perception {
+namespace {
+
+/// OctoMap's keys count 2^15 voxels to each side of the origin; a vote beyond would be lost.
+void checkReach(const Projection& projection, double resolution_m) {
+  const double farthest_m =
+      projection.p_map_camera().cwiseAbs().maxCoeff() + projection.reach_m() + resolution_m;
+  if (farthest_m <= 32768.0 * resolution_m) return;
+  throw FrameError("pose_invalid", "the camera sees farther from the origin than the map reaches");
+}
+
+}  // namespace
 
 SemanticMap::SemanticMap(const SemanticMapParams& params)
     : params_(params),
@@ -21,13 +33,14 @@ SemanticMap::SemanticMap(const SemanticMapParams& params)
 
 const SafetyGrid& SemanticMap::update(const Frame& frame, const Constraints& constraints) {
   checkFrame(frame);
+  const Projection projection(frame, params_.range);
+  checkReach(projection, params_.resolution_m);
   const bool vote = constraints.isActive();
   const std::vector<Predicate> predicates =
       vote ? constraints.predicates : std::vector<Predicate>();
   if (!has_disc_) disc_ = InitialDisc{frame.p_map_base, params_.initial_disc_radius_m};
   has_disc_ = true;
 
-  const Projection projection(frame, params_.range);
   convertToMetres(frame.depth, &metres_);
   meanings_.build(frame.classes, predicates, &causes_);
   ImageSets sets;

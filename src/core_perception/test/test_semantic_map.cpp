@@ -253,6 +253,16 @@ TEST(SemanticMap, refused_frame_changes_nothing) {
   EXPECT_EQ(map.grid().frame.origin.x, before.frame.origin.x);
 }
 
+TEST(SemanticMap, frame_beyond_what_the_tree_can_hold_is_refused) {
+  SemanticMapParams params;
+  params.resolution_m = 0.05;  // 2^15 voxels to each side: 1638.4 m
+  params.window_m = 10.0;
+  SemanticMap map{params};
+  EXPECT_NO_THROW(map.update(Scene().render(0.1, -1620.0, 0.0, 0.0), makeConeRules()));
+  EXPECT_EQ(stateAt(map.grid(), -1617.0, 0.0), CellState::kSafe);
+  EXPECT_THROW(map.update(Scene().render(0.2, -1637.0, 0.0, 0.0), makeConeRules()), FrameError);
+}
+
 TEST(SemanticMap, millimetres_and_metres_give_the_same_decision) {
   SemanticMap metres{SemanticMapParams()}, millimetres{SemanticMapParams()};
   Frame frame = makeConeLine().render(0.1, 0.0, 0.0, 0.0);
