@@ -84,7 +84,7 @@ void SemanticMap::collect(const Frame& frame, const Projection& projection, cons
     const float height_m = camera_height_m_ + point.dz_m;
     if (meaning.instance_slot >= 0)
       collectInstancePoint(point, height_m, meaning.instance_slot, projection);
-    if (vote) votePoint(point, height_m, meaning, sets);
+    if (vote) votePoint(point, height_m, projection.metricHeight(point.depth_m), meaning, sets);
   });
 }
 
@@ -97,10 +97,8 @@ void SemanticMap::collectInstancePoint(const PixelPoint& point, float height_m, 
                 height_m >= projection.metricHeight(point.depth_m));
 }
 
-void SemanticMap::votePoint(const PixelPoint& point, float height_m, const LabelMeaning& meaning,
-                            const ImageSets& sets) {
-  const auto metric_height_m = static_cast<float>(params_.range.metric_min_height_m +
-                                                  params_.range.metric_slope * point.depth_m);
+void SemanticMap::votePoint(const PixelPoint& point, float height_m, float metric_height_m,
+                            const LabelMeaning& meaning, const ImageSets& sets) {
   const bool metric_layer = params_.vote.metric_layer;
   // In profile core all floor-level points vote in the layer of the floor: noise must not spread
   // them over two layers.

@@ -72,7 +72,6 @@ struct SemanticMapParams {
   InstanceParams instance;
 
   bool usesImageOperators() const { return operators == "image"; }
-  bool votesPerPixel() const { return vote.votes == "pixel"; }
 
   /// Reads the known keys; leaves finish() to the caller.
   /// @throws ParameterError bad type, out of bounds, or contradicting values.

@@ -24,7 +24,7 @@ namespace core_perception {
 /// parameters tell them apart.
 class SemanticMap {
  public:
-  /// @throws ParameterError never: parameters are validated where they are read.
+  /// @param params validated where they are read, see SemanticMapParams::fromMap.
   explicit SemanticMap(const SemanticMapParams& params);
 
   /// Adds a frame under the constraints in force at its stamp. While no constraints are in force
@@ -43,8 +43,8 @@ class SemanticMap {
   void collect(const Frame& frame, const Projection& projection, const ImageSets& sets, bool vote);
   void collectInstancePoint(const PixelPoint& point, float height_m, int16_t slot,
                             const Projection& projection);
-  void votePoint(const PixelPoint& point, float height_m, const LabelMeaning& meaning,
-                 const ImageSets& sets);
+  void votePoint(const PixelPoint& point, float height_m, float metric_height_m,
+                 const LabelMeaning& meaning, const ImageSets& sets);
   ColumnRange findReach(const Projection& projection) const;
 
   SemanticMapParams params_;
@@ -59,7 +59,7 @@ class SemanticMap {
   bool has_disc_ = false;
   cv::Mat metres_;
   // Of the frame being added.
-  float camera_height_m_ = 0.0f, metric_slope_ = 0.0f;
+  float camera_height_m_ = 0.0f;
   int floor_layer_ = 0;
   Eigen::Vector3d p_map_camera_ = Eigen::Vector3d::Zero();
   std::vector<uint16_t> rule_causes_;  ///< cause of each predicate, for image operators
