@@ -57,9 +57,10 @@ class SdfGradientBarrier:
     def compute_rows(self, field: SafetyField, pose: np.ndarray, clearance: Clearance) -> BarrierRows:
         """The single row  grad h . (f + g u) >= -alpha h  with f = 0:  a = g' grad h,  b = -alpha h.
 
-        No row where the field has no border (h infinite, gradient zero).
+        Without a border there is no gradient: no row where every cell is safe, and one that no command satisfies,
+        0 . u >= -alpha h > 0, where every cell is unsafe.
         """
-        if not clearance.gradient.any() or np.isinf(clearance.h_m):
+        if clearance.h_m > 0.0 and not (clearance.gradient.any() and np.isfinite(clearance.h_m)):
             return BarrierRows.empty()
         a = compute_g(pose[2]).T @ np.append(clearance.gradient, 0.0)
         b = -self._alpha_per_s * clearance.h_m
