@@ -120,6 +120,10 @@ MISSING = [
     ({"odometry_frame_id": "map"}, Reason.FRAME_MISMATCH),
     ({"constraints_age_s": np.nan}, Reason.CONSTRAINTS_MISSING),
     ({"constraints_age_s": 15.1}, Reason.CONSTRAINTS_STALE),
+    ({"nominal_age_s": -0.21}, Reason.NOMINAL_STALE),
+    ({"odometry_age_s": -3.0}, Reason.ODOMETRY_STALE),
+    ({"grid_age_s": -np.inf}, Reason.GRID_STALE),
+    ({"constraints_age_s": -60.0}, Reason.CONSTRAINTS_STALE),
 ]
 
 

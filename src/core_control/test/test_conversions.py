@@ -162,6 +162,15 @@ def test_age_is_the_larger_of_stamp_and_receipt():
     assert inputs.read(101.2, 99.0).nominal_age_s == pytest.approx(0.2)
 
 
+def test_stamp_far_in_the_future_is_not_covered_up_by_a_fresh_receipt():
+    inputs = LatestInputs()
+    inputs.store("odometry", make_stamped(Odometry, 10.0), receipt_s=100.0, stamp_s=10.0)
+    assert inputs.read(100.1, 9.9).odometry_age_s == pytest.approx(0.1)
+    inputs = LatestInputs()
+    inputs.store("odometry", make_stamped(Odometry, 13.0), receipt_s=100.0, stamp_s=13.0)
+    assert inputs.read(100.1, 10.0).odometry_age_s == pytest.approx(-3.0)
+
+
 def test_time_that_jumps_back_makes_everything_unknown():
     inputs = LatestInputs()
     inputs.store("nominal", Twist(), receipt_s=1.0)
@@ -180,7 +189,7 @@ def test_malformed_grid_is_a_reason_and_not_an_exception():
 
 
 def test_constraints_age_comes_from_the_grid():
-    for constraints_s, expected in ((0.0, math.nan), (3.0, 7.0)):
+    for constraints_s, expected in ((0.0, math.nan), (3.0, 7.0), (12.0, -2.0)):
         inputs = LatestInputs()
         stamps = rospy.Time.from_sec(9.0), rospy.Time.from_sec(constraints_s)
         inputs.store("grid", grid_to_msg(make_grid(np.zeros((3, 4), bool)), *stamps), 0.0, 9.0)

@@ -12,6 +12,9 @@ import numpy as np
 from core_control.params import FilterParams
 from core_control.types import FilterInputs
 
+# A stamp further than this in the future [s] belongs to another clock: it says nothing about an age.
+FUTURE_SLACK_S = 0.2
+
 
 class Reason:
     """Codes of core_msgs/FilterState.reason; they never change their meaning."""
@@ -105,8 +108,10 @@ def find_stop(inputs: FilterInputs, params: FilterParams) -> Optional[Stop]:
 
 def _find_age(name: str, reason: str, age_s: float, limit_s: float) -> Optional[Stop]:
     # Written so that an age of NaN counts as too old.
-    if age_s <= limit_s:
+    if -FUTURE_SLACK_S <= age_s <= limit_s:
         return None
+    if age_s < 0.0:
+        return Stop(reason, f"{name} is stamped {-age_s:.2f} s in the future, limit {FUTURE_SLACK_S:g} s")
     return Stop(reason, f"{name} is {age_s:.2f} s old, limit {limit_s:g} s")
 
 

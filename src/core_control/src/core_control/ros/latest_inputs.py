@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Optional
 
 from core_control.exceptions import GridError
-from core_control.modes import Reason
+from core_control.modes import FUTURE_SLACK_S, Reason
 from core_control.ros.conversions import grid_from_msg, is_planar, odometry_from_msg, twist_from_msg
 from core_control.safety_field import SafetyField
 from core_control.types import NAN, FilterInputs
@@ -97,6 +97,7 @@ class LatestInputs:
     def read(self, monotonic_s: float, ros_s: float) -> FilterInputs:
         """Inputs with their ages, age = max(time since the stamp, time since receipt).
 
+        A stamp more than FUTURE_SLACK_S in the future gives its negative age, which no limit allows.
         When ROS time has gone backwards since the last read everything received before is forgotten.
 
         Args:
@@ -121,12 +122,14 @@ class LatestInputs:
 def _compute_age(entry: Optional[Received], monotonic_s: float, ros_s: float) -> float:
     if entry is None:
         return NAN
-    since_receipt_s = monotonic_s - entry.receipt_s
-    return since_receipt_s if math.isnan(entry.stamp_s) else max(since_receipt_s, ros_s - entry.stamp_s)
+    since_receipt_s, since_stamp_s = monotonic_s - entry.receipt_s, ros_s - entry.stamp_s
+    if math.isnan(since_stamp_s):
+        return since_receipt_s
+    return since_stamp_s if since_stamp_s < -FUTURE_SLACK_S else max(since_receipt_s, since_stamp_s)
 
 
 def compute_constraints_age(grid: Any, now_s: float) -> float:
-    """Age of the constraints a grid was made with [s]; NaN while there are none."""
+    """Age of the constraints a grid was made with [s]; NaN while there are none, negative for a stamp in the future."""
     if grid is None or grid.constraints_stamp.is_zero():
         return NAN
-    return max(0.0, now_s - grid.constraints_stamp.to_sec())
+    return now_s - grid.constraints_stamp.to_sec()
