@@ -36,6 +36,7 @@ class FilterShell:
         """Advertise; nothing is sent yet."""
         self._params = params
         self._filter = CbfFilter(params)
+        self._deciding = threading.Lock()  # the filter is used by one thread at a time
         self._ticks = 0
         self._last = None
         # Under lock-step a node that comes late still gets the newest message; a latched command is unsafe otherwise.
@@ -69,8 +70,9 @@ class FilterShell:
         self._last = zero
 
     def _on_reset(self, _request) -> TriggerResponse:
-        error = self._filter.error
-        self._filter.reset()
+        with self._deciding:
+            error = self._filter.error
+            self._filter.reset()
         return TriggerResponse(success=True, message=f"cleared: {error}" if error else "nothing was latched")
 
     def _on_shutdown(self) -> None:
@@ -116,6 +118,10 @@ class RealTimeFilter(FilterShell):
 
     def _tick(self) -> None:
         stamp = rospy.Time.now()
+        with self._deciding:
+            self._answer(stamp)
+
+    def _answer(self, stamp) -> None:
         try:
             if self._inputs.jumped_back(stamp.to_sec()):
                 self._filter.forget()
@@ -133,18 +139,18 @@ class LockstepFilter(FilterShell):
         """Subscribe."""
         super().__init__(params)
         self._inputs = LockstepInputs()
-        self._answering = threading.Lock()
         self._subscribe("lockstep/tick", Tick, self._on_tick, 10)
         self._subscribe("odom", Odometry, lambda message: self._store("odometry", message), 10)
         self._subscribe("cmd_vel_nominal_stamped", TwistStamped, lambda message: self._store("nominal", message), 10)
         self._subscribe("safety_grid", numpy_msg(SafetyGrid), lambda message: self._store("grid", message), 10)
 
     def _on_tick(self, tick: Tick) -> None:
-        if abs(tick.period_s - self._params.control_period_s) > 1e-6:
+        with self._deciding:
             want_s = self._params.control_period_s
-            self._filter.latch(f"tick period is {tick.period_s:g} s, output_rate_hz makes it {want_s:g} s")
-        if self._inputs.store_tick(tick):
-            self._filter.forget()
+            if abs(tick.period_s - want_s) > 1e-6:
+                self._filter.latch(f"tick period is {tick.period_s:g} s, output_rate_hz makes it {want_s:g} s")
+            if self._inputs.store_tick(tick):
+                self._filter.forget()
         self._answer()
 
     def _store(self, name: str, message) -> None:
@@ -152,7 +158,7 @@ class LockstepFilter(FilterShell):
         self._answer()
 
     def _answer(self) -> None:
-        with self._answering:
+        with self._deciding:
             taken = self._inputs.take()
             if taken is None:
                 return
