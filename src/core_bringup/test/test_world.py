@@ -11,7 +11,7 @@ import yaml
 
 from core_bringup.exceptions import ConfigError
 from core_bringup.ground_truth import GroundTruth
-from core_bringup.world import find_worlds_dir, load_world, resolve_world_path, task_of, vary_world
+from core_bringup.world import find_worlds_dir, load_world, resolve_world_path, vary_world
 
 WORLDS = find_worlds_dir()
 GOOD = {
@@ -197,7 +197,7 @@ def test_unknown_world_is_refused(name):
 def test_unknown_task_lists_the_known_ones(tmp_path):
     world = load_world(write(tmp_path, GOOD))
     with pytest.raises(ConfigError, match="no task 'run'; allowed: walk"):
-        task_of(world, "run")
+        world.task("run")
     with pytest.raises(ConfigError, match="no task 'run'"):
         vary_world(world, "run", 1)
 

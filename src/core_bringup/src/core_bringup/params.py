@@ -37,7 +37,6 @@ class BridgeParams:
         clock_rate_hz: /clock messages per sim second without lock-step.
         stall_timeout_s: wall time a lock-step tick may take. cmd_vel_timeout_s: age of cmd_vel that brings a stand.
         frame_prefix: put before odom, base_link and the camera frames. start_paused: wait for unpause or step.
-        wait_for_monitor: no tick before ground_truth/violation has a subscriber, so that a monitor misses nothing.
         publish_clock: false when another bridge of the same master publishes /clock.
     """
 
@@ -51,7 +50,6 @@ class BridgeParams:
     gui: bool = False
     start_paused: bool = False
     publish_clock: bool = True
-    wait_for_monitor: bool = False
     rtf: float = 1.0
     tick_rate_hz: float = 20.0
     camera_rate_hz: float = 0.0

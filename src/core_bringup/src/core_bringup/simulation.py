@@ -15,7 +15,7 @@ from core_bringup.lockstep import Schedule
 from core_bringup.params import BridgeParams, find_robot_file
 from core_bringup.robot import RobotConfig
 from core_bringup.rotations import yaw_of_quaternion
-from core_bringup.world import load_world, task_of, vary_world
+from core_bringup.world import load_world, vary_world
 
 
 class Simulation:
@@ -33,7 +33,7 @@ class Simulation:
     def __init__(self, params: BridgeParams):
         """Load and build everything; the robot stands at its start and no time has passed."""
         world = load_world(params.world)
-        self.task = task_of(world, params.task)
+        self.task = world.task(params.task)
         self.robot = RobotConfig.load(params.robot or find_robot_file())
         self.world, self.start_pose = vary_world(world, params.task, params.seed)
         self.schedule = Schedule(params.period_ns, params.frame_every(self.robot.camera.rate_hz))

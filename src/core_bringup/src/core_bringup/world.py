@@ -17,7 +17,7 @@ from core_bringup.world_types import Lighting, Surface, Task, UnsafeRegion, Worl
 from core_bringup.yaml_source import YamlSource
 
 __all__ = ["Lighting", "Surface", "Task", "UnsafeRegion", "World", "WorldObject", "find_worlds_dir", "load_world",
-           "resolve_world_path", "task_of", "vary_world"]  # fmt: skip
+           "resolve_world_path", "vary_world"]  # fmt: skip
 
 
 def find_worlds_dir() -> Path:
@@ -76,11 +76,6 @@ def load_world(name_or_path: Union[str, Path], worlds_dir: Optional[Path] = None
     return world
 
 
-def task_of(world: World, name: str) -> Task:
-    """World.task as a function."""
-    return world.task(name)
-
-
 def vary_world(world: World, task_name: str, seed: int) -> Tuple[World, np.ndarray]:
     """Draw one bounded variation of a world and of a task's start.
 
@@ -94,7 +89,7 @@ def vary_world(world: World, task_name: str, seed: int) -> Tuple[World, np.ndarr
     Raises:
         ConfigError: unknown task. ValueError: negative seed.
     """
-    task = task_of(world, task_name)
+    task = world.task(task_name)
     if seed < 0:
         raise ValueError(f"seed must be >= 0, got {seed}")
     if seed == 0:

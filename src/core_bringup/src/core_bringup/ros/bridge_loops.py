@@ -22,7 +22,6 @@ from core_bringup.run_control import RunControl
 from core_bringup.simulation import Simulation
 
 LOG_PERIOD_S = 5.0
-MONITOR_POLL_S = 0.02
 
 
 class BridgeLoop(abc.ABC):
@@ -46,8 +45,6 @@ class BridgeLoop(abc.ABC):
 
     def run(self) -> None:
         """Loop until the node ends."""
-        while self._params.wait_for_monitor and not self._publishers.is_watched and not rospy.is_shutdown():
-            time.sleep(MONITOR_POLL_S)
         while not rospy.is_shutdown():
             if self._control.wait_for_turn(self._reset, POLL_S):
                 self._tick += 1

@@ -48,11 +48,6 @@ class BridgePublishers:
         self._static_tf = tf2_ros.StaticTransformBroadcaster()
         self._static_tf.sendTransform(self._static_transforms())
 
-    @property
-    def is_watched(self) -> bool:
-        """Whether somebody listens to the ground truth of violations."""
-        return self._violation.get_num_connections() > 0
-
     def publish_clock(self, stamp_ns: int) -> None:
         """Sim time."""
         if self._clock is not None:
