@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The parameter tables of the package READMEs agree with the shipped profiles."""
+"""The parameter tables of the package READMEs agree with the shipped profiles; the paper map names real files."""
 
 import re
 from pathlib import Path
@@ -24,6 +24,13 @@ def table_of(package, node):
 
 def read(text):
     return "" if text == "empty" else yaml.safe_load(text)
+
+
+def test_paper_map_names_files_that_exist():
+    names = set(re.findall(r"`([\w/]+\.(?:py|cpp))`", (SRC.parent / "docs" / "paper_map.md").read_text()))
+    assert len(names) > 20
+    existing = ["/" + path.relative_to(SRC).as_posix() for path in SRC.rglob("*") if path.suffix in (".py", ".cpp")]
+    assert [name for name in sorted(names) if not any(path.endswith("/" + name) for path in existing)] == []
 
 
 @pytest.mark.parametrize(("package", "node"), NODES)
