@@ -234,6 +234,8 @@ BAD_PARAMS = [
     ({"tick_rate_hz": 0}, "~tick_rate_hz: got 0"),
     ({"tick_rate_hz": 30}, "~tick_rate_hz: got 30"),
     ({"tick_rate_hz": math.inf}, "~tick_rate_hz: got inf"),
+    ({"tick_rate_hz": 50}, "~tick_rate_hz: got 50"),
+    ({"clock_rate_hz": 100}, "~clock_rate_hz: got 100"),
     ({"clock_rate_hz": 50}, "~clock_rate_hz: got 50"),
     ({"clock_rate_hz": 10}, "~clock_rate_hz: got 10"),
     ({"camera_rate_hz": -1}, "~camera_rate_hz: got -1"),
@@ -256,6 +258,7 @@ def test_bad_parameter_is_refused_in_one_line(values, words):
 
 
 def test_good_parameters_are_taken_and_whole_numbers_pass_for_real_ones():
+    assert BridgeParams.from_dict({"tick_rate_hz": 50, "clock_rate_hz": 100, "backend": "kinematic"})
     params = BridgeParams.from_dict({"rtf": 0, "tick_rate_hz": 10, "lockstep": True})
     assert (params.rtf, params.period_ns, params.frame_every(10.0), params.clock_steps_per_tick) == (
         0.0,

@@ -12,7 +12,8 @@ import pytest
 from simple_world import ROBOT, make_object, make_surface, make_world
 
 from core_bringup.exceptions import BringupError
-from core_bringup.pybullet_backend import PHYSICS_RATE_HZ, PybulletBackend
+from core_bringup.params import PYBULLET_RATE_HZ
+from core_bringup.pybullet_backend import PybulletBackend
 from core_bringup.pybullet_scene import PybulletScene, write_urdf
 from core_bringup.quadruped.kinematics import LEGS, LegKinematics
 from core_bringup.quadruped.model import BASE_FRAME, compute_mass_properties, compute_stand_joints
@@ -122,9 +123,9 @@ def test_robot_on_its_side_has_fallen(backend):
 def test_velocity_is_the_derivative_of_the_base_link_pose(backend):
     run(backend, (0.4, 0.1, 0.5), 1.0)
     before = backend.state
-    after = backend.step(np.array([0.4, 0.1, 0.5]), 1.0 / PHYSICS_RATE_HZ)
+    after = backend.step(np.array([0.4, 0.1, 0.5]), 1.0 / PYBULLET_RATE_HZ)
     R = np.array(pybullet.getMatrixFromQuaternion(after.q_world_base)).reshape(3, 3)
-    difference = (after.p_world_base - before.p_world_base) * PHYSICS_RATE_HZ
+    difference = (after.p_world_base - before.p_world_base) * PYBULLET_RATE_HZ
     np.testing.assert_allclose(R @ after.v_base, difference, atol=5e-3)
 
 

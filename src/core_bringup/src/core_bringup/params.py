@@ -13,6 +13,7 @@ from core_bringup.exceptions import ConfigError
 
 BACKENDS = ("pybullet", "kinematic")
 RENDERERS = ("tiny", "egl", "none")
+PYBULLET_RATE_HZ = 240  # of the physics steps
 _NS_PER_S = 1_000_000_000
 
 
@@ -96,19 +97,20 @@ class BridgeParams:
         return every
 
     def _check(self, source: str) -> None:
+        fits = _is_whole_us if self.backend == "kinematic" else _is_whole_steps
         ranges = {
             "backend": (self.backend in BACKENDS, ", ".join(BACKENDS)),
             "renderer": (self.renderer in RENDERERS, ", ".join(RENDERERS)),
             "seed": (self.seed >= 0, "a whole number >= 0"),
             "rtf": (self.rtf >= 0.0, "a number >= 0, 0 is as fast as possible"),
-            "tick_rate_hz": (_is_whole_us(self.tick_rate_hz), "1..1000 with a period of whole microseconds"),
+            "tick_rate_hz": (fits(self.tick_rate_hz), _ALLOWED_RATE),
             "camera_rate_hz": (self.camera_rate_hz >= 0.0, "a number >= 0, 0 is the robot file's"),
             "clock_rate_hz": (
                 self.clock_steps_per_tick >= 1
-                and _is_whole_us(self.clock_rate_hz)
+                and fits(self.clock_rate_hz)
                 and abs(self.clock_steps_per_tick * self.tick_rate_hz - self.clock_rate_hz) < 1e-9,
-                "a multiple of tick_rate_hz with a period of whole microseconds",
-            ) if _is_whole_us(self.tick_rate_hz) else (True, ""),
+                f"a multiple of tick_rate_hz, {_ALLOWED_RATE}",
+            ) if fits(self.tick_rate_hz) and not self.lockstep else (True, ""),
             "stall_timeout_s": (self.stall_timeout_s > 0.0, "a number > 0"),
             "cmd_vel_timeout_s": (self.cmd_vel_timeout_s > 0.0, "a number > 0"),
             "gui": (not (self.gui and self.backend == "kinematic"), "false with backend kinematic"),
@@ -120,6 +122,13 @@ class BridgeParams:
         for key, (is_good, allowed) in ranges.items():
             if not is_good:
                 raise ConfigError(source, f"~{key}", f"got {getattr(self, key)!r}", allowed)
+
+
+_ALLOWED_RATE = f"1..1000 with a period of whole microseconds, and of whole 1/{PYBULLET_RATE_HZ} s in pybullet"
+
+
+def _is_whole_steps(rate_hz: float) -> bool:
+    return _is_whole_us(rate_hz) and abs(PYBULLET_RATE_HZ / rate_hz - round(PYBULLET_RATE_HZ / rate_hz)) < 1e-9
 
 
 def _is_whole_us(rate_hz: float) -> bool:

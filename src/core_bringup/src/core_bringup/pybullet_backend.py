@@ -13,6 +13,7 @@ import pybullet
 
 from core_bringup.backend import Backend, RobotState
 from core_bringup.exceptions import BringupError
+from core_bringup.params import PYBULLET_RATE_HZ
 from core_bringup.pybullet_scene import PybulletScene, write_urdf
 from core_bringup.quadruped.controller import GRAVITY_MPS2, TrotController
 from core_bringup.quadruped.kinematics import JOINT_NAMES, LEGS
@@ -21,7 +22,6 @@ from core_bringup.quadruped.types import QuadrupedState
 from core_bringup.robot import RobotConfig
 from core_bringup.world_types import World, WorldObject
 
-PHYSICS_RATE_HZ = 240
 FALLEN_TILT_RAD = 0.7
 _SOLVER_ITERATIONS = 50
 _WINDOW = "--width=1280 --height=800"
@@ -52,7 +52,7 @@ class PybulletBackend(Backend):
         self._urdf_path, self._scene = write_urdf(robot), None
         self._stand_rad = compute_stand_joints(robot.quadruped)
         mass = compute_mass_properties(robot.quadruped, robot.camera_mount, self._stand_rad)
-        self._controller = TrotController(robot.quadruped, mass, 1.0 / PHYSICS_RATE_HZ, seed % 2)
+        self._controller = TrotController(robot.quadruped, mass, 1.0 / PYBULLET_RATE_HZ, seed % 2)
         self.reset(np.zeros(3))
 
     def reset(self, start_pose: np.ndarray) -> RobotState:
@@ -66,7 +66,7 @@ class PybulletBackend(Backend):
         pybullet.resetSimulation(physicsClientId=self._client)
         pybullet.setGravity(0.0, 0.0, -GRAVITY_MPS2, physicsClientId=self._client)
         pybullet.setPhysicsEngineParameter(
-            fixedTimeStep=1.0 / PHYSICS_RATE_HZ,
+            fixedTimeStep=1.0 / PYBULLET_RATE_HZ,
             numSolverIterations=_SOLVER_ITERATIONS,
             numSubSteps=0,
             physicsClientId=self._client,
@@ -89,9 +89,9 @@ class PybulletBackend(Backend):
     def step(self, command: np.ndarray, duration_s: float) -> RobotState:
         """Advance by duration_s under a held command, clipped to the robot's limits; see Backend.step."""
         command = np.clip(_check_vector("command", command), -self._limits, self._limits)
-        ticks = round(duration_s * PHYSICS_RATE_HZ) if np.isfinite(duration_s) else 0
-        if ticks < 1 or abs(duration_s * PHYSICS_RATE_HZ - ticks) > 1e-6:
-            raise ValueError(f"duration_s: got {duration_s}, allowed a multiple of 1/{PHYSICS_RATE_HZ} s above 0")
+        ticks = round(duration_s * PYBULLET_RATE_HZ) if np.isfinite(duration_s) else 0
+        if ticks < 1 or abs(duration_s * PYBULLET_RATE_HZ - ticks) > 1e-6:
+            raise ValueError(f"duration_s: got {duration_s}, allowed a multiple of 1/{PYBULLET_RATE_HZ} s above 0")
         for _ in range(ticks):
             torques = self._controller.compute_torques(self._read_robot(self._contacts), command)
             pybullet.setJointMotorControlArray(
@@ -172,7 +172,7 @@ class PybulletBackend(Backend):
         tilt_rad = np.arccos(np.clip(rotation[2, 2], -1.0, 1.0))
         q_world_base = self._scene.get_base()[1]
         return RobotState(
-            time_s=self._ticks / PHYSICS_RATE_HZ,
+            time_s=self._ticks / PYBULLET_RATE_HZ,
             p_world_base=body.p_world_base,
             q_world_base=q_world_base,
             v_base=rotation.T @ body.v_world_base,
