@@ -86,6 +86,13 @@ def test_file_that_is_no_robot_is_refused(tmp_path, text):
         RobotConfig.load(path)
 
 
+def test_key_given_twice_is_refused_with_its_line(tmp_path):
+    path, text = tmp_path / "r.yaml", ROBOT_FILE.read_text(encoding="utf-8")
+    path.write_text(text + "name: another\n")
+    with pytest.raises(ConfigError, match=rf"r.yaml:{len(text.splitlines()) + 1}: name: given twice"):
+        RobotConfig.load(path)
+
+
 def test_missing_file_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="none.yaml"):
         RobotConfig.load(tmp_path / "none.yaml")

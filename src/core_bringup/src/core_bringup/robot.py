@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Union
 
-import yaml
-
 from core_bringup.camera import CameraModel
 from core_bringup.camera_mount import CameraMount
 from core_bringup.exceptions import ConfigError
 from core_bringup.quadruped.model import build_urdf
 from core_bringup.quadruped.params import QuadrupedParams, read_section, section
+from core_bringup.yaml_source import YamlSource
 
 
 @dataclass(frozen=True)
@@ -63,13 +62,9 @@ class RobotConfig:
             RobotConfig.
 
         Raises:
-            ConfigError: no such file, no YAML, or a wrong, missing or unknown key.
+            ConfigError: no such file, no YAML, or a wrong, missing, repeated or unknown key.
         """
-        try:
-            data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            raise ConfigError(path, "(file)", " ".join(str(error).split()), "a readable YAML file") from error
-        return cls.from_dict(data, str(path))
+        return cls.from_dict(YamlSource(path).data, str(path))
 
     @classmethod
     def from_dict(cls, data: Any, source: str = "robot") -> RobotConfig:

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Callable, Dict, Optional, Sequence
 
 import rospkg
-import yaml
 
 from core_bringup.exceptions import ConfigError
 from core_bringup.params import BACKENDS, BridgeParams
 from core_bringup.params import find_robot_file as shipped_robot_file
 from core_bringup.robot import RobotConfig
 from core_bringup.world import load_world
+from core_bringup.yaml_source import YamlSource
 from core_control.params import FilterParams, WaypointParams
 from core_perception.params import ReasonerParams, SegmenterParams
 
@@ -183,7 +183,7 @@ def check_profile(profile: str) -> None:
     """
     for package, readers in PROFILE_READERS.items():
         path = find_package_folder(package) / "config" / f"{profile}.yaml"
-        nodes = _read_mapping(path)
+        nodes = YamlSource(path).data
         for node, reader in readers.items():
             _check_node(path, node, reader, nodes.get(node, {}))
 
@@ -208,16 +208,6 @@ def find_package_folder(package: str) -> Path:
         raise ConfigError(
             SOURCE, package, "package not found", "a built workspace whose devel/setup.bash was sourced"
         ) from error
-
-
-def _read_mapping(path: Path) -> dict:
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigError(str(path), "(file)", " ".join(str(error).split()), "a readable YAML file") from error
-    if not isinstance(data, dict):
-        raise ConfigError(str(path), "(file)", f"got {type(data).__name__}", "a mapping of node parameters")
-    return data
 
 
 def _make_results_folder(folder: Path) -> None:
