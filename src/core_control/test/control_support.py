@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from core_control.dynamics import compute_rotation, integrate_lag
@@ -93,6 +95,12 @@ class Plant:
         return poses
 
 
+@functools.lru_cache(maxsize=16)
+def find_unsafe_centres(field: SafetyField) -> np.ndarray:
+    """(n, 2) centres of all unsafe cells [m]."""
+    return field.compute_centre(*np.nonzero(field.unsafe))
+
+
 def footprint_overlaps(field: SafetyField, pose, shrink_m=1e-9) -> bool:
     """Whether the rectangle of the robot overlaps an unsafe cell or leaves the grid; separating axes, exact."""
     R = compute_rotation(pose[2])
@@ -100,10 +108,11 @@ def footprint_overlaps(field: SafetyField, pose, shrink_m=1e-9) -> bool:
     extent = np.abs(R) @ half
     if np.any(pose[:2] - extent < field.lo_m) or np.any(pose[:2] + extent > field.hi_m):
         return True
-    if not len(field.unsafe_centres):
+    centres = find_unsafe_centres(field)
+    if not len(centres):
         return False
     half_cell = 0.5 * field.grid.resolution_m
-    gap = field.unsafe_centres - pose[:2]
+    gap = centres - pose[:2]
     apart_world = np.any(np.abs(gap) >= extent + half_cell, axis=1)
     apart_body = np.any(np.abs(gap @ R) >= half + half_cell * np.abs(R).sum(axis=0), axis=1)
     return bool(np.any(~(apart_world | apart_body)))
@@ -133,8 +142,8 @@ class Driver:
         self._left -= 1
         if self._kind == 1:
             return np.array([self._limits[0], 0.0, 0.0])
-        if self._kind == 2 and len(field.unsafe_centres):
-            gap = field.unsafe_centres - pose[:2]
+        if self._kind == 2 and len(find_unsafe_centres(field)):
+            gap = find_unsafe_centres(field) - pose[:2]
             nearest = gap[np.argmin(np.linalg.norm(gap, axis=1))]
             return np.append(compute_rotation(pose[2]).T @ nearest, self._u[2])
         return self._u

@@ -86,7 +86,6 @@ class SafetyField:
         self.hi_m = self.lo_m + grid.resolution_m * np.array([nx, ny])
         self.unsafe_boxes = self._make_unsafe_boxes()
         self._safe_boxes: Optional[Boxes] = None
-        self._unsafe_centres: Optional[np.ndarray] = None
 
     def _make_unsafe_boxes(self) -> Boxes:
         padded = np.pad(self.unsafe, 1, constant_values=True)
@@ -115,14 +114,6 @@ class SafetyField:
             any_neighbour = padded[:-2, 1:-1] | padded[2:, 1:-1] | padded[1:-1, :-2] | padded[1:-1, 2:]
             self._safe_boxes = self._cell_boxes(~self.unsafe & any_neighbour)
         return self._safe_boxes
-
-    @property
-    def unsafe_centres(self) -> np.ndarray:
-        """(n, 2) centres of all unsafe cells [m]."""
-        if self._unsafe_centres is None:
-            iy, ix = np.nonzero(self.unsafe)
-            self._unsafe_centres = self.compute_centre(iy, ix)
-        return self._unsafe_centres
 
     def compute_centre(self, iy: np.ndarray, ix: np.ndarray) -> np.ndarray:
         """Centres of cells [m]: index arrays (n,) -> (n, 2)."""
