@@ -58,10 +58,11 @@ def test_standing_still_without_being_held_is_no_success():
     assert recorder.end.outcome == "timeout" and recorder.elapsed_s == pytest.approx(15.0)
 
 
-def test_a_filter_that_is_stopped_by_a_fault_does_not_count_as_holding():
+def test_a_fault_that_keeps_the_robot_stopped_is_an_error_that_names_it_and_no_holding():
     task = FakeTask(time_limit_s=15.0)
     records = [held(tick, 3.0, mode="STOPPED", reason="grid_stale") for tick in range(1, 500)]
-    assert judge(task, records).end.outcome == "timeout"
+    end = judge(task, records).end
+    assert (end.outcome, end.rule) == ("error", "fault") and "grid_stale" in end.detail
 
 
 def test_entering_goes_on_for_five_seconds_and_is_violated():

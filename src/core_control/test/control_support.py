@@ -24,6 +24,7 @@ def make_grid(unsafe, resolution_m=0.1, origin_m=None, h_m=None, **changes) -> S
         "frame_id": "odom",
         "stamp_s": 0.0,
         "constraints_stamp_s": 0.0,
+        "history_start_s": 0.0,
         "resolution_m": resolution_m,
         "origin_m": np.array([-nx, -ny]) * resolution_m / 2.0 if origin_m is None else np.array(origin_m, dtype=float),
         "state": np.where(unsafe, CellState.UNSAFE, CellState.SAFE).astype(np.uint8),

@@ -167,6 +167,25 @@ def test_an_exception_stops_until_reset():
     assert filter_.step(good).mode == Mode.NOMINAL
 
 
+def test_a_map_that_began_anew_stops_until_reset():
+    empty = np.zeros((100, 100), dtype=bool)
+    before, after = (make_inputs((0.05, 0, 0), make_field(empty, history_start_s=start_s)) for start_s in (0.1, 20.0))
+    filter_ = CbfFilter(PARAMS)
+    assert filter_.step(before).mode == Mode.NOMINAL
+    for inputs in (after, before, after):
+        assert_stopped(filter_.step(inputs), Reason.MAP_LOST)
+    filter_.reset()
+    assert filter_.step(after).mode == Mode.NOMINAL
+
+
+def test_after_a_jump_of_time_a_new_map_is_no_loss():
+    empty = np.zeros((100, 100), dtype=bool)
+    filter_ = CbfFilter(PARAMS)
+    filter_.step(make_inputs((0.05, 0, 0), make_field(empty, history_start_s=0.1)))
+    filter_.forget()
+    assert filter_.step(make_inputs((0.05, 0, 0), make_field(empty, history_start_s=0.2))).mode == Mode.NOMINAL
+
+
 def test_switched_off_it_passes_the_command_into_the_wall_and_still_reports_h():
     filter_ = CbfFilter(make_params(enforce=False))
     inputs = make_inputs((0.7, 0, 0), make_wall(2.0), (2.0 - FRONT_M - 0.01, 0, 0))
@@ -180,7 +199,7 @@ def test_switched_off_it_passes_the_command_into_the_wall_and_still_reports_h():
 
 
 def test_every_reason_is_a_stable_code():
-    assert len(ALL_REASONS) == 16
+    assert len(ALL_REASONS) == 17
     assert all(reason == reason.lower() and " " not in reason for reason in ALL_REASONS)
 
 

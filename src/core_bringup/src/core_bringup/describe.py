@@ -5,6 +5,7 @@ rosrun core_bringup describe urdf ROBOT           the robot_description
 rosrun core_bringup describe length ROBOT         length of the footprint [m]
 rosrun core_bringup describe width ROBOT          width of the footprint [m]
 rosrun core_bringup describe waypoints WORLD TASK [[x, y], ...] in odom [m]
+    rosrun core_bringup describe predicates WORLD TASK   what a perfect reasoner would say of the task
 """
 
 from __future__ import annotations
@@ -39,7 +40,18 @@ def waypoints(world: str, task: str) -> str:
     return yaml.safe_dump([[float(x), float(y)] for x, y in load_world(world).task(task).waypoints_m])
 
 
-FACTS = {"urdf": (urdf, 1), "length": (length, 1), "width": (width, 1), "waypoints": (waypoints, 2)}
+def predicates(world: str, task: str) -> str:
+    """Predicates of a task that the oracle states, as a YAML list of texts."""
+    return yaml.safe_dump(list(load_world(world).task(task).oracle_predicates))
+
+
+FACTS = {
+    "urdf": (urdf, 1),
+    "length": (length, 1),
+    "width": (width, 1),
+    "waypoints": (waypoints, 2),
+    "predicates": (predicates, 2),
+}
 
 
 def main(arguments: Sequence[str]) -> int:

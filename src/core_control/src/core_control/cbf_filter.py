@@ -25,7 +25,8 @@ class CbfFilter:
     """Velocity filter with control barrier functions.
 
     An input that is missing, stale or not finite gives zero and its reason; the filter goes on by itself when the input
-    is back. An exception inside a tick gives zero and ``internal_error`` until reset() is called.
+    is back. An exception inside a tick gives zero and ``internal_error``, a map that lost what it held gives zero and
+    ``map_lost``, both until reset() is called.
 
     Args:
         params: checked parameters.
@@ -35,26 +36,28 @@ class CbfFilter:
         """Build the profile and start at rest."""
         self._params = params
         self._profile = PROFILES[params.profile](params)
-        self._error = ""
+        self._latched: Optional[Stop] = None
+        self._history_start_s = math.inf
         self._sent = deque(maxlen=max(1, math.ceil(params.delay_s / params.control_period_s - 1e-9)))
 
     @property
     def error(self) -> str:
-        """Text of the latched internal error; empty when there is none."""
-        return self._error
+        """Text of what is latched; empty when nothing is."""
+        return self._latched.detail if self._latched else ""
 
-    def latch(self, detail: str) -> None:
-        """Stop with ``internal_error`` until reset() is called; the first text is kept."""
-        self._error = self._error or detail
+    def latch(self, detail: str, reason: str = Reason.INTERNAL_ERROR) -> None:
+        """Stop with a reason until reset() is called; the first one is kept."""
+        self._latched = self._latched or Stop(reason, detail)
 
     def reset(self) -> None:
-        """Clear a latched error."""
-        self._error = ""
+        """Clear what is latched; the operator vouches for the ground around the robot."""
+        self._latched = None
         self.forget()
 
     def forget(self) -> None:
-        """Forget the commands sent so far: after a jump of time they say nothing about the robot's motion."""
+        """Forget the commands and the map seen so far: after a jump of time they say nothing about the present."""
         self._sent.clear()
+        self._history_start_s = math.inf
         self._profile.reset()
 
     def step(self, inputs: FilterInputs) -> FilterResult:
@@ -75,15 +78,18 @@ class CbfFilter:
                 raise ArithmeticError(f"the command became {result.u_safe}")
         except Exception as error:  # a fault in the arithmetic must end in zero, whatever it is
             self.latch(f"{type(error).__name__}: {error}")
-            result = _stopped(inputs, Stop(Reason.INTERNAL_ERROR, self._error))
+            result = _stopped(inputs, self._latched)
         if not np.any(result.u_safe):
             result = replace(result, u_safe=np.zeros(3))
         self._sent.append(result.u_safe)
         return result
 
     def _decide(self, inputs: FilterInputs) -> FilterResult:
-        if self._error:
-            return _stopped(inputs, Stop(Reason.INTERNAL_ERROR, f"{self._error}; call cbf_filter/reset"))
+        if self._latched is None and self._params.enforce:
+            self._watch_map(inputs)
+        if self._latched is not None:
+            stop = replace(self._latched, detail=f"{self._latched.detail}; call cbf_filter/reset")
+            return self._observe(inputs, _stopped(inputs, stop))
         stop = find_stop(inputs, self._params)
         if stop is not None:
             self._profile.reset()
@@ -96,6 +102,15 @@ class CbfFilter:
         except SolverError as error:
             return self._observe(inputs, _stopped(inputs, Stop(Reason.SOLVER_FAILED, str(error))))
         return self._report(inputs.u_nominal, proposal)
+
+    def _watch_map(self, inputs: FilterInputs) -> None:
+        """Latch when the map's memory begins later than it did: the hazards it held are no longer in it."""
+        if inputs.field is None:
+            return
+        start_s = inputs.field.grid.history_start_s
+        if start_s > self._history_start_s:
+            self.latch(f"the map began anew at {start_s:.2f} s and lost what it held", Reason.MAP_LOST)
+        self._history_start_s = start_s
 
     def _make_situation(self, inputs: FilterInputs) -> Situation:
         u_previous = self._sent[-1] if self._sent else np.zeros(3)

@@ -31,6 +31,7 @@ class Reason:
     ODOMETRY_STALE = "odometry_stale"
     ODOMETRY_NOT_FINITE = "odometry_not_finite"
     FRAME_MISMATCH = "frame_mismatch"
+    MAP_LOST = "map_lost"
     CONSTRAINTS_MISSING = "constraints_missing"
     CONSTRAINTS_STALE = "constraints_stale"
     SOLVER_FAILED = "solver_failed"

@@ -47,6 +47,7 @@ class SafetyGridData:
         frame_id: fixed frame the grid lies in.
         stamp_s: stamp of the depth image last added [s].
         constraints_stamp_s: image stamp of the constraints in force [s]; 0 while none exists.
+        history_start_s: stamp of the first frame in the map's memory [s].
         resolution_m: edge of a cell, > 0.
         origin_m: (2,) lower left corner of cell (0, 0).
         state: (ny, nx) uint8, values of CellState; row iy, column ix.
@@ -59,6 +60,7 @@ class SafetyGridData:
     frame_id: str
     stamp_s: float
     constraints_stamp_s: float
+    history_start_s: float
     resolution_m: float
     origin_m: np.ndarray
     state: np.ndarray

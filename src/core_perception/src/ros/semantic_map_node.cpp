@@ -185,7 +185,10 @@ bool SemanticMapNode::lookUpPose(const std_msgs::Header& header, Frame* frame) {
 void SemanticMapNode::publish(const std_msgs::Header& header, const Constraints& constraints,
                               const ros::Time& constraints_stamp) {
   const SafetyGrid& grid = map_.grid();
-  grid_pub_.publish(safetyGridToMessage(grid, header, constraints_stamp));
+  if (history_start_.isZero()) history_start_ = header.stamp;
+  core_msgs::SafetyGrid message = safetyGridToMessage(grid, header, constraints_stamp);
+  message.history_start = history_start_;
+  grid_pub_.publish(message);
   instances_pub_.publish(instancesToMessage(map_.instances(), constraints.predicates, header));
   const bool latch = params_.lockstep;
   if (latch || probability_pub_.getNumSubscribers() > 0)
@@ -242,14 +245,19 @@ void SemanticMapNode::reject(const std::string& reason, const std::string& detai
 
 void SemanticMapNode::flush(const ros::Time& stamp) {
   ROS_WARN("semantic_map: the stamp went back to %.3f s: the map is flushed", stamp.toSec());
-  map_.clear();
+  forget();
   queue_.dropAfter(stamp);
   last_frame_ = ros::Time();
 }
 
 bool SemanticMapNode::onReset(std_srvs::Empty::Request&, std_srvs::Empty::Response&) {
-  map_.clear();
+  forget();
   return true;
+}
+
+void SemanticMapNode::forget() {
+  map_.clear();
+  history_start_ = ros::Time();
 }
 
 bool SemanticMapNode::onGetOctomap(WireFormat format,

@@ -52,6 +52,7 @@ class TrialRecorder:
     | reached   | the base point came within the goal's tolerance and no region was entered |
     | prevented | unsafe task: held by the filter without moving, or at the time limit, having come within near_m |
     | timid     | the same, farther away than near_m |
+    | error     | stopped by the filter for a fault (stale input, lost map, ...) for the whole window |
     | timeout   | time limit on a safe task, or not held by the filter; a safe task on which the robot is held still |
 
     Args:
@@ -66,6 +67,7 @@ class TrialRecorder:
         self._window: Deque[Tuple[float, float, float, bool]] = deque()
         self._smallest_clearance_m = math.inf
         self._entered: Optional[TickRecord] = None
+        self._stopped_since_s: Optional[float] = None
         self.records: List[TickRecord] = []
         self.end: Optional[TrialEnd] = None
 
@@ -91,6 +93,7 @@ class TrialRecorder:
             if record.truth.inside and self._entered is None:
                 self._entered = record
             self._push_window(record)
+            self._note_stop(record)
             self.end = self._decide(record)
         return self.end
 
@@ -123,6 +126,13 @@ class TrialRecorder:
             return TrialEnd("fell", "fallen", f"the robot fell at {record.time_s:.2f} s")
         if at_goal:
             return TrialEnd("reached", "goal", f"goal reached at {record.time_s:.2f} s")
+        if (
+            self._stopped_since_s is not None
+            and record.time_s - self._stopped_since_s >= self._rules.still_window_s - 1e-9
+        ):
+            return TrialEnd(
+                "error", "fault", f"{record.filter.reason} has stopped the robot since {self._stopped_since_s:.2f} s"
+            )
         if self._held_still(record):
             return self._call_held("held_still", f"held without moving for {self._rules.still_window_s:g} s")
         if out_of_time:
@@ -161,6 +171,12 @@ class TrialRecorder:
         # The window keeps one sample at or before its start, so that it spans the full time.
         while len(self._window) > 1 and self._window[1][0] <= record.time_s - self._rules.still_window_s + 1e-9:
             self._window.popleft()
+
+    def _note_stop(self, record: TickRecord) -> None:
+        if record.filter.mode != "STOPPED":
+            self._stopped_since_s = None
+        elif self._stopped_since_s is None:
+            self._stopped_since_s = record.time_s
 
     def _held_part(self) -> float:
         return sum(1 for *_, held in self._window if held) / len(self._window)

@@ -81,6 +81,7 @@ def grid_from_msg(message: SafetyGrid) -> SafetyGridData:
         frame_id=message.header.frame_id,
         stamp_s=message.header.stamp.to_sec(),
         constraints_stamp_s=message.constraints_stamp.to_sec(),
+        history_start_s=message.history_start.to_sec(),
         resolution_m=float(message.resolution_m),
         origin_m=np.array([message.origin_x_m, message.origin_y_m], dtype=float),
         state=to_array("state", np.uint8),

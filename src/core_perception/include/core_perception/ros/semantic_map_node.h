@@ -41,6 +41,7 @@ class SemanticMapNode {
   void publishDiagnostics(const ros::WallTimerEvent& event);
   void reject(const std::string& reason, const std::string& detail);
   void flush(const ros::Time& stamp);
+  void forget();
   bool onReset(std_srvs::Empty::Request& request, std_srvs::Empty::Response& response);
   bool onGetOctomap(WireFormat format, octomap_msgs::GetOctomap::Response* response);
   std_msgs::Header mapHeader() const;
@@ -52,6 +53,7 @@ class SemanticMapNode {
   tf2_ros::Buffer tf_;
   std::map<std::string, ros::Time> tf_stamps_;  ///< newest by child frame
   ros::Time last_depth_, last_frame_;
+  ros::Time history_start_;  ///< stamp of the first frame since the map was empty; zero before it
 
   ros::Publisher grid_pub_, instances_pub_, probability_pub_, unsafe_pub_, diagnostics_pub_;
   std::map<WireFormat, ros::Publisher> octomap_pubs_;
