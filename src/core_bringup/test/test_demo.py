@@ -123,7 +123,7 @@ node(); time.sleep(60)
     started = time.monotonic()
     report = run_demo(request_, print, fake(body))
     assert report.exit_code == 2 and report.failure == "cbf_filter: ~alpha_per_s: got -1; allowed: > 0"
-    assert time.monotonic() - started < 10.0
+    assert time.monotonic() - started < 30.0  # the fake would go on for 60 s
 
 
 def test_a_required_node_that_refuses_is_found_too():
@@ -187,7 +187,7 @@ time.sleep(0.5); say("x: exit code 2, cmd /x/x __name:=x"); time.sleep(60)
 """
     started = time.monotonic()
     assert run_demo(request_, print, fake(body)).exit_code == 2
-    assert time.monotonic() - started < 10.0
+    assert time.monotonic() - started < 30.0
 
 
 @pytest.mark.parametrize("number, exit_code", [(signal.SIGINT, 130), (signal.SIGTERM, 130)])
