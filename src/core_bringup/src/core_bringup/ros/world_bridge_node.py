@@ -19,7 +19,7 @@ from core_bringup.simulation import Simulation
 
 NODE = "world_bridge"
 EXIT_OK, EXIT_FAILED, EXIT_BAD_INPUT = 0, 1, 2
-LOG_FLUSH_S = 2.0
+LOG_FLUSH_S = 0.5
 JOIN_POLL_S = 0.2
 
 
