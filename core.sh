@@ -19,6 +19,7 @@ CORE for ROS 1: contextual safety for robots, in a PyBullet world.
         --seeds N                 N seeds and a count of the outcomes
         --help                    every argument
   ./core.sh test [NAME …]         every test: lint unit cpp ros (or only the named kinds)
+  ./core.sh bench NAME [--help]   measure something against its bar; JSON in the last line: reasoning model_faults
   ./core.sh lint                  style, formatting, budgets, catkin_lint, spelling
   ./core.sh install [DIR]         catkin install space (default: install/)
   ./core.sh setup                 only install what is missing and build
@@ -172,6 +173,13 @@ case $command in
   setup) setup; say "ready" ;;
   demo) setup; exec python3 "$here/src/core_bringup/scripts/demo" "$@" ;;
   test) setup; exec "$here/test/run_tests" "$@" ;;
+  bench)
+    name=${1:-}
+    if ! [ -f "$here/test/bench/$name.py" ]; then
+      say "bench: got '$name', allowed $(cd "$here/test/bench" && ls ./*.py | sed 's|^./||; s|[.]py$||' | tr '\n' ' ')"
+      exit 2
+    fi
+    setup; exec python3 "$here/test/bench/$name.py" "${@:2}" ;;
   lint) setup; exec "$here/test/run_tests" lint ;;
   install) setup; workspace_make -DCMAKE_INSTALL_PREFIX="$(realpath -m "${1:-$here/install}")" install ;;
   run) setup; exec "$@" ;;

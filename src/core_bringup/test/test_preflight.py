@@ -9,8 +9,6 @@ import pytest
 from core_bringup.evaluation import preflight
 from core_bringup.evaluation.monitor_params import MonitorParams
 from core_bringup.exceptions import ConfigError
-from core_perception.exceptions import PerceptionError
-from core_perception.params import ReasonerParams
 
 BAD_WORDS = [
     ("methods:=core", "methods: unknown argument; allowed: world, task, method"),
@@ -22,7 +20,7 @@ BAD_WORDS = [
     ("method:=CORE", "allowed: core, none"),
     ("profile:=fast", "profile: got 'fast'; allowed: core, paper"),
     ("backend:=gazebo", "backend: got 'gazebo'; allowed: pybullet, kinematic"),
-    ("reasoner:=gpt", "reasoner: got 'gpt'; allowed: ontology, static, oracle"),
+    ("reasoner:=gpt", "reasoner: got 'gpt'; allowed: ontology, auto, ollama"),
     ("renderer:=opengl", "renderer: got 'opengl'; allowed: tiny, egl"),
     ("seed:=-1", "seed: got '-1'; allowed: a whole number from 0"),
     ("seed:=1.5", "seed: got '1.5'"),
@@ -128,13 +126,29 @@ def test_a_run_nobody_watches_is_as_fast_as_possible(words, rtf):
     assert f"rtf:={rtf}" in preflight.parse_arguments(words).launch_arguments()
 
 
-def test_every_reasoner_of_the_list_is_one_the_node_takes_and_no_other():
-    for reasoner in preflight.REASONERS:
-        ReasonerParams.from_dict(
-            {"reasoner": reasoner, "predicates": ["ON(floor)=safe"] if reasoner == "oracle" else []}
-        )
-    with pytest.raises(PerceptionError, match=", ".join(preflight.REASONERS)):
-        ReasonerParams.from_dict({"reasoner": "no_such_reasoner"})
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        (["reasoner:=ollama"], "model: got '', allowed the name of a model"),
+        (["reasoner:=replay"], "replay_dir: got ''"),
+        (["reasoner_params:=missing.yaml"], "missing.yaml"),
+        (["reasoner_params:={folder}/params.yaml"], "deadlin_s: got 3, allowed only"),
+    ],
+)
+def test_what_the_reasoner_would_refuse_is_refused_before_anything_starts(tmp_path, words, message):
+    (tmp_path / "params.yaml").write_text("deadlin_s: 3\n")
+    words = [word.format(folder=tmp_path) for word in words]
+    request = preflight.parse_arguments([*words, f"results:={tmp_path}/results"])
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        preflight.check_request(request)
+
+
+def test_files_of_the_reasoner_reach_the_launch_file_as_absolute_paths():
+    words = ["reasoner:=replay", "replay_dir:=recording", "reasoner_params:=a.yaml"]
+    arguments = preflight.parse_arguments(words).launch_arguments()
+    assert f"replay_dir:={Path('recording').resolve()}" in arguments
+    assert f"reasoner_params:={Path('a.yaml').resolve()}" in arguments
+    assert "record_dir:=" in arguments
 
 
 @pytest.mark.parametrize(

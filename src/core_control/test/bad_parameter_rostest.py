@@ -11,6 +11,11 @@ import rostest
 CASES = [
     ("cbf_filter", "alpha_per_s:=-1.0", "~alpha_per_s: got -1.0, allowed a finite number > 0"),
     ("cbf_filter", "footprint:={lenght_m: 1.0}", "~footprint/lenght_m: got 1.0, allowed no such parameter"),
+    (
+        "cbf_filter",
+        "constraints_fresh_s:=15.5",
+        "~constraints_fresh_s: got 15.5, allowed >= 0 and <= constraints_ttl_s (15)",
+    ),
     ("waypoint_controller", "waypoints:=[[1.0]]", "~waypoints[0]: got [1.0], allowed a list of [x_m, y_m]"),
     ("filter_markers", "no_such_key:=3", "~no_such_key: got 3, allowed no such parameter"),
 ]

@@ -25,8 +25,8 @@ from core_control.types import Mode
 STEPS = 200
 
 
-def run_episode(seed, params, is_violated, lag_s=0.08, delay_ticks=0):
-    """(violating steps, share of steps in which the command passed, reasons)."""
+def run_episode(seed, params, is_violated, lag_s=0.08, delay_ticks=0, last_age_s=0.0):
+    """(violating steps, steps in which the command passed, reasons); the constraints age evenly up to last_age_s."""
     rng = np.random.default_rng(seed)
     field = make_field(make_random_mask(rng))
     barrier = HalfPlaneBarrier(params.disc_array, 2.5, 0.15, params.limits, 8)
@@ -36,8 +36,9 @@ def run_episode(seed, params, is_violated, lag_s=0.08, delay_ticks=0):
     filter_, driver = CbfFilter(params), Driver(rng, params.limits)
     plant = Plant(pose, lag_s, delay_ticks, params.control_period_s)
     violations, moved, reasons = 0, 0, set()
-    for _ in range(STEPS):
-        result = filter_.step(make_inputs(driver.step(plant.pose, field), field, plant.pose, plant.twist))
+    for age_s in np.linspace(0.0, last_age_s, STEPS):
+        u = driver.step(plant.pose, field)
+        result = filter_.step(make_inputs(u, field, plant.pose, plant.twist, constraints_age_s=age_s))
         violations += any(is_violated(field, p) for p in plant.step(result.u_safe)[4::5])
         moved += bool(np.any(result.u_safe))
         reasons |= {result.reason} - {""} if result.mode == Mode.STOPPED else set()
@@ -56,8 +57,9 @@ def run_episodes(seeds, params, is_violated=footprint_overlaps, **plant):
         (range(60), {}, {}),
         (range(60, 80), {"lag_s": 0.3, "delay_s": 0.1}, {"lag_s": 0.3, "delay_ticks": 2}),
         (range(80, 100), {"margin_m": 0.04, "alpha_per_s": 10.0, "solver": "daqp"}, {}),
+        (range(100, 120), {"constraints_fresh_s": 0.0}, {"last_age_s": 14.0}),
     ],
-    ids=["default", "lag_and_delay", "small_margin"],
+    ids=["default", "lag_and_delay", "small_margin", "aging_constraints"],
 )
 def test_footprint_never_enters_an_unsafe_cell(seeds, changes, plant):
     violations, moved, reasons = run_episodes(seeds, make_params(**changes), **plant)

@@ -112,6 +112,17 @@ def test_state_says_what_the_filter_did():
     np.testing.assert_array_equal(state.u_safe, result.u_safe)
     np.testing.assert_array_equal(state.gradient, result.gradient)
     assert (state.h_m, state.nominal_age_s, state.rows) == (result.h_m, 0.01, result.rows)
+    assert state.speed_cap_mps == math.inf
+
+
+@pytest.mark.parametrize(("age_s", "cap_mps"), [(11.25, 0.5 * math.hypot(0.5, 0.25)), (16.0, 0.0)])
+def test_state_and_diagnostics_tell_the_cap(age_s, cap_mps):
+    inputs = make_inputs((0.5, 0, 0), make_wall(2.0), constraints_age_s=age_s)
+    result = CbfFilter(make_params()).step(inputs)
+    state = over_the_wire(state_to_msg(result, inputs, rospy.Time(3), 60), FilterState)
+    assert state.speed_cap_mps == pytest.approx(cap_mps)
+    values = make_diagnostics(result, "/cbf_filter", 7, rospy.Time(1)).status[0].values
+    assert {value.key: value.value for value in values}["speed_cap_mps"] == f"{cap_mps:.3f}"
 
 
 def test_state_of_a_filter_that_knows_nothing():

@@ -76,7 +76,14 @@ def test_unknown_nested_key_is_refused():
 
 
 @pytest.mark.parametrize(
-    "values", [{"alpha_per_s": 21.0}, {"alpha_per_s": 11.0, "output_rate_hz": 10.0}, {"verifier_margin_m": 0.2}]
+    "values",
+    [
+        {"alpha_per_s": 21.0},
+        {"alpha_per_s": 11.0, "output_rate_hz": 10.0},
+        {"verifier_margin_m": 0.2},
+        {"constraints_fresh_s": 15.1},
+        {"constraints_ttl_s": 7.4},
+    ],
 )
 def test_values_that_contradict_each_other_are_refused(values):
     with pytest.raises(ParameterError):
@@ -108,6 +115,7 @@ def test_paper_config_is_the_papers():
     assert params.profile == "paper"
     assert params.alpha_per_s == 0.25
     assert params.control_period_s == pytest.approx(0.1)
+    assert params.constraints_fresh_s == params.constraints_ttl_s
 
 
 @pytest.mark.parametrize(("length_m", "width_m", "count"), [(1.1, 0.5, 3), (0.5, 1.1, 3), (0.4, 0.4, 1), (2.0, 0.3, 7)])

@@ -80,7 +80,9 @@ std::vector<Region> buildRegions(const std::vector<HeldInstance>& instances,
     if (!predicate.isUnsafe() || surface || isCancelled(predicate, predicates)) continue;
     std::vector<const HeldInstance*> members;
     for (const HeldInstance& held : instances) {
-      if (held.confirmed && held.class_name == predicate.class_name) members.push_back(&held);
+      if (held.confirmed && held.class_name == predicate.class_name &&
+          !isSpared(held, predicate, instances))
+        members.push_back(&held);
     }
     if (predicate.spatial_operator == SpatialOperator::kBetween) {
       addBetween(predicate, members, params, &regions);
@@ -92,10 +94,23 @@ std::vector<Region> buildRegions(const std::vector<HeldInstance>& instances,
   return regions;
 }
 
-bool isUnsafeClass(const std::string& class_name, const std::vector<Predicate>& predicates) {
+bool isSpared(const HeldInstance& held, const Predicate& predicate,
+              const std::vector<HeldInstance>& instances) {
+  const auto listed = [&predicate](const HeldInstance& one) {
+    return predicate.exempt_instances.count(one.id) > 0;
+  };
+  if (predicate.spatial_operator == SpatialOperator::kOn || !listed(held)) return false;
+  if (predicate.spatial_operator != SpatialOperator::kBetween) return true;
+  return std::all_of(instances.begin(), instances.end(), [&](const HeldInstance& other) {
+    return other.cluster != held.cluster || listed(other);
+  });
+}
+
+bool isUnsafeInstance(const HeldInstance& held, const std::vector<Predicate>& predicates,
+                      const std::vector<HeldInstance>& instances) {
   return std::any_of(predicates.begin(), predicates.end(), [&](const Predicate& predicate) {
-    return predicate.class_name == class_name && predicate.isUnsafe() &&
-           !isCancelled(predicate, predicates);
+    return predicate.class_name == held.class_name && predicate.isUnsafe() &&
+           !isCancelled(predicate, predicates) && !isSpared(held, predicate, instances);
   });
 }
 

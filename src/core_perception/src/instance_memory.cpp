@@ -38,7 +38,6 @@ void mergeInto(const HeldInstance& from, HeldInstance* to) {
   to->cells = uniteCells(to->cells, from.cells);
   to->z_min_m = std::min(to->z_min_m, from.z_min_m);
   to->z_max_m = std::max(to->z_max_m, from.z_max_m);
-  to->id = std::min(to->id, from.id);
   to->in_view = to->in_view || from.in_view;
   to->confirmed = to->confirmed || from.confirmed;
   to->last_seen_s = std::max(to->last_seen_s, from.last_seen_s);
@@ -52,6 +51,7 @@ void mergeInto(const HeldInstance& from, HeldInstance* to) {
 void InstanceMemory::update(double stamp_s, const std::vector<Detection>& detections,
                             const Probe& probe) {
   for (HeldInstance& held : instances_) held.in_view = false;
+  for (HeldInstance& held : hidden_) held.in_view = false;
   const std::vector<size_t> matches = match(detections);
   for (size_t i = 0; i < detections.size(); ++i) {
     if (matches[i] != kNoMatch) absorb(stamp_s, detections[i], &instances_[matches[i]]);
@@ -60,7 +60,8 @@ void InstanceMemory::update(double stamp_s, const std::vector<Detection>& detect
     if (matches[i] == kNoMatch) placeUnmatched(stamp_s, detections[i]);
   }
   mergeOverlapping();
-  releaseEmpty(probe);
+  releaseEmpty(probe, &instances_);
+  releaseEmpty(probe, &hidden_);
   labelClusters(params_.between_max_gap_m, &instances_);
 }
 
@@ -152,13 +153,14 @@ void InstanceMemory::mergeOverlapping() {
         continue;
       }
       mergeInto(b, &a);
+      a.id = ++last_id_;
       instances_.erase(instances_.begin() + static_cast<std::ptrdiff_t>(j));
     }
   }
 }
 
-void InstanceMemory::releaseEmpty(const Probe& probe) {
-  for (HeldInstance& held : instances_) {
+void InstanceMemory::releaseEmpty(const Probe& probe, std::vector<HeldInstance>* instances) const {
+  for (HeldInstance& held : *instances) {
     if (held.in_view) continue;
     const PlaceView view = probe(held);
     if (view == PlaceView::kOccupied) held.doubt = 0;
@@ -167,21 +169,22 @@ void InstanceMemory::releaseEmpty(const Probe& probe) {
   }
   const int most = kDoubtOfEmpty * params_.release_frames;
   const auto released = [most](const HeldInstance& held) { return held.doubt >= most; };
-  instances_.erase(std::remove_if(instances_.begin(), instances_.end(), released),
-                   instances_.end());
+  instances->erase(std::remove_if(instances->begin(), instances->end(), released),
+                   instances->end());
 }
 
-void InstanceMemory::forgetClass(const std::string& class_name) {
-  const auto of_class = [&class_name](const HeldInstance& held) {
-    return held.class_name == class_name;
-  };
-  instances_.erase(std::remove_if(instances_.begin(), instances_.end(), of_class),
-                   instances_.end());
+void InstanceMemory::hideClasses(const std::function<bool(const std::string&)>& is_surface) {
+  std::vector<HeldInstance> all;
+  all.swap(instances_);
+  std::move(hidden_.begin(), hidden_.end(), std::back_inserter(all));
+  hidden_.clear();
+  for (HeldInstance& held : all)
+    (is_surface(held.class_name) ? hidden_ : instances_).push_back(std::move(held));
 }
 
 void InstanceMemory::clear() {
   instances_.clear();
-  last_id_ = 0;
+  hidden_.clear();
 }
 
 void labelClusters(double max_gap_m, std::vector<HeldInstance>* instances) {

@@ -36,18 +36,19 @@ const SafetyGrid& SemanticMap::update(const Frame& frame, const Constraints& con
   const Projection projection(frame, params_.range);
   checkReach(projection, params_.resolution_m);
   const bool vote = constraints.isActive();
-  const std::vector<Predicate> predicates =
-      vote ? constraints.predicates : std::vector<Predicate>();
-  if (!has_disc_) disc_ = InitialDisc{frame.p_map_base, params_.initial_disc_radius_m};
-  has_disc_ = true;
+  if (history_start_s_ == 0.0) {
+    disc_ = InitialDisc{frame.p_map_base, params_.initial_disc_radius_m};
+    history_start_s_ = frame.stamp_s;
+  }
+  predicates_ = findInForce(constraints);
 
   convertToMetres(frame.depth, &metres_);
-  meanings_.build(frame.classes, predicates, &causes_);
+  meanings_.build(frame.classes, predicates_, &causes_);
   ImageSets sets;
   if (vote && params_.usesImageOperators()) {
-    sets = computeImageSets(frame.labels, frame.classes, predicates, params_.kernel_px);
+    sets = computeImageSets(frame.labels, frame.classes, predicates_, params_.kernel_px);
     rule_causes_.clear();
-    for (const Predicate& p : predicates)
+    for (const Predicate& p : predicates_)
       rule_causes_.push_back(causes_.intern(formatRule(p), p.class_name));
   }
   collect(frame, projection, sets, vote);
@@ -57,10 +58,8 @@ const SafetyGrid& SemanticMap::update(const Frame& frame, const Constraints& con
       clearSeenThrough(metres_, projection, frame_votes_, findReach(projection), &votes_);
     }
   }
-  for (const Predicate& predicate : predicates) {
-    if (meanings_.isSurface(predicate.class_name, predicates))
-      memory_.forgetClass(predicate.class_name);
-  }
+  memory_.hideClasses(
+      [this](const std::string& name) { return meanings_.isSurface(name, predicates_); });
   std::vector<std::string> class_names;
   for (const LabelClass& label : frame.classes) class_names.push_back(label.class_name);
   const PlaceProbe probe(frame, metres_, projection, params_.range);
@@ -68,9 +67,19 @@ const SafetyGrid& SemanticMap::update(const Frame& frame, const Constraints& con
                  [&probe](const HeldInstance& held) { return probe.look(held); });
   std::vector<Region> regions;
   if (!params_.usesImageOperators()) {
-    regions = buildRegions(memory_.instances(), predicates, params_.instance, params_.resolution_m);
+    regions =
+        buildRegions(memory_.instances(), predicates_, params_.instance, params_.resolution_m);
   }
   return composer_.compose(votes_, causes_, disc_, regions, frame.p_map_base);
+}
+
+std::vector<Predicate> SemanticMap::findInForce(const Constraints& constraints) const {
+  if (!constraints.isActive()) return {};
+  std::vector<Predicate> predicates = constraints.predicates;
+  const bool same_history = constraints.instances_history_start_s == history_start_s_;
+  if (same_history && !params_.usesImageOperators()) return predicates;
+  for (Predicate& predicate : predicates) predicate.exempt_instances.clear();
+  return predicates;
 }
 
 void SemanticMap::collect(const Frame& frame, const Projection& projection, const ImageSets& sets,
@@ -134,7 +143,8 @@ void SemanticMap::clear() {
   votes_.clear();
   memory_.clear();
   causes_.clear();
-  has_disc_ = false;
+  predicates_.clear();
+  history_start_s_ = 0.0;
 }
 
 }  // namespace core_perception

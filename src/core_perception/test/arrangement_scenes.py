@@ -58,16 +58,16 @@ def corner(rng):
 
 
 def lane(rng):
-    """Two rows of three to six, 1.2 to 2.3 m apart and at least 1.3 gaps."""
-    gap, count = rng.uniform(0.8, 1.6), rng.integers(3, 7)
-    width = np.clip(rng.uniform(1.3, 1.8) * gap, 1.2, 2.3)
+    """Two rows of three to six, 1.0 to 2.5 m apart, whatever the gaps in a row."""
+    gap, count, width = rng.uniform(0.8, 1.6), rng.integers(3, 7), rng.uniform(1.0, 2.5)
     x = gap * np.arange(count)
     x_other = x[: max(2, count - rng.integers(0, 2))] + rng.uniform(-0.3, 0.3) * gap
     first, second = np.column_stack([x, 0.0 * x]), np.column_stack([x_other, 0.0 * x_other + width])
     return _place(np.vstack([first, second]), rng)
 
 
-def _scatter(rng, count, side_m, clearance_m=0.5):
+def scatter_of(rng, count, side_m, clearance_m=0.4):
+    """As many objects at places drawn evenly in a square, none nearer to another than the clearance."""
     points = []
     while len(points) < count:
         candidate = rng.uniform(0.0, side_m, 2)
@@ -77,15 +77,15 @@ def _scatter(rng, count, side_m, clearance_m=0.5):
 
 
 def scatter(rng):
-    return _scatter(rng, rng.integers(4, 11), 6.0)
+    return scatter_of(rng, rng.integers(4, 11), 6.0)
 
 
 def dense_scatter(rng):
-    return _scatter(rng, rng.integers(4, 8), 3.0)
+    return scatter_of(rng, rng.integers(4, 11), 3.0)
 
 
 def scatter_of_three(rng):
-    return _scatter(rng, 3, 4.0)
+    return scatter_of(rng, 3, 4.0)
 
 
 GENERATORS = {

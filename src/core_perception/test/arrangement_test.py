@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from core_perception.arrangement import Arrangement, classify, cluster
 
-TRIALS = 600
+TRIALS = 1500
 
 
 def shapes(points):
@@ -26,8 +26,8 @@ def blocking_rate(scene):
     [
         (scenes.line, 0.99),
         (scenes.line_with_stray, 0.99),
-        (scenes.line_of_three, 0.90),
-        (scenes.arc, 0.93),
+        (scenes.line_of_three, 0.85),
+        (scenes.arc, 0.95),
         (scenes.ring, 0.99),
         (scenes.square, 0.97),
         (scenes.corner, 0.98),
@@ -39,10 +39,40 @@ def test_blocking_arrangements_are_found(scene, least):
 
 @pytest.mark.parametrize(
     "scene, most",
-    [(scenes.scatter, 0.05), (scenes.dense_scatter, 0.05), (scenes.scatter_of_three, 0.06), (scenes.lane, 0.02)],
+    [(scenes.scatter, 0.02), (scenes.dense_scatter, 0.02), (scenes.scatter_of_three, 0.03), (scenes.lane, 0.02)],
 )
 def test_scattered_objects_and_lanes_seldom_look_like_a_barrier(scene, most):
     assert blocking_rate(scene) <= most
+
+
+@pytest.mark.parametrize("count, side_m", [(4, 3.0), (5, 3.0), (4, 6.0), (5, 6.0), (6, 6.0)])
+def test_scatters_of_every_small_number_seldom_look_like_a_barrier(count, side_m):
+    assert blocking_rate(lambda rng: scenes.scatter_of(rng, count, side_m)) <= 0.02
+
+
+@pytest.mark.parametrize(
+    "width_m, gap_m, count", [(1.0, 1.5, 4), (1.2, 1.2, 5), (2.4, 0.8, 6), (2.4, 1.2, 3), (1.6, 1.6, 3)]
+)
+def test_two_rows_that_a_robot_fits_between_are_a_lane_whatever_the_gaps_in_a_row(width_m, gap_m, count):
+    row = np.column_stack([gap_m * np.arange(count), np.zeros(count)])
+    assert classify(np.vstack([row, row + [0.2 * gap_m, width_m]])) == Arrangement.LANE
+
+
+def test_an_outline_with_objects_on_all_four_sides_is_no_lane():
+    outline = [(x, y) for x in range(5) for y in range(4) if x in (0, 4) or y in (0, 3)]
+    assert classify(1.2 * np.array(outline, dtype=float)) == Arrangement.RING
+
+
+def test_three_on_a_curve_and_four_unevenly_spaced_are_no_barrier():
+    assert classify(np.array([[0.0, 0.0], [1.4, 0.35], [2.8, 0.0]])) == Arrangement.SCATTER
+    assert classify(np.array([[0.0, 0.0], [0.6, 0.0], [2.8, 0.0], [3.2, 0.0]])) == Arrangement.SCATTER
+
+
+def test_a_line_with_one_object_missing_still_blocks():
+    for count in (5, 6, 8):
+        for missing in range(1, count - 1):
+            points = np.column_stack([1.2 * np.delete(np.arange(count), missing), np.zeros(count - 1)])
+            assert classify(points) == Arrangement.LINE, (count, missing)
 
 
 @pytest.mark.parametrize("name", ["line", "ring", "corner", "lane", "arc"])

@@ -22,6 +22,7 @@ from core_perception.ros.conversions import array_to_image, ns_to_stamp
 PACKAGE_DIR = Path(__file__).resolve().parents[1]
 DEADLINE_S = 20.0
 QUEUE_SIZE = 50
+HISTORY_START = rospy.Time(1)
 
 
 def free_port():
@@ -131,7 +132,7 @@ class FakeChain:
     def publish_instances(self, stamp_ns, class_name, positions_m):
         header = Header(stamp=ns_to_stamp(stamp_ns), frame_id="odom")
         instances = [cone_instance(k + 1, class_name, x, y) for k, (x, y) in enumerate(positions_m)]
-        self.publishers["semantic_map/instances"].publish(InstanceArray(header, instances))
+        self.publishers["semantic_map/instances"].publish(InstanceArray(header, HISTORY_START, instances))
 
     def close(self):
         for publisher in self.publishers.values():

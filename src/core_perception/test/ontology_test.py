@@ -73,6 +73,13 @@ def test_wet_or_slippery_or_unknown_kinds_of_a_navigable_surface_are_not_navigab
             assert not known.listed
 
 
+@pytest.mark.parametrize("plural, name", [("ladies", "person"), ("women", "person"), ("parcels", "cardboard_box")])
+def test_plurals_of_listed_names_are_listed(content, plural, name):
+    content = copy.deepcopy(content)
+    content["social_zone"]["person"]["aliases"].append("lady")
+    assert Ontology.from_dict(content).canonical(plural) == name
+
+
 @given(st.from_regex(r"[a-z]{1,8}(_[a-z]{1,8}){0,3}", fullmatch=True))
 def test_only_a_listed_name_is_ever_navigable(ontology, name):
     known = ontology.look_up(name)
@@ -84,7 +91,7 @@ def test_only_a_listed_name_is_ever_navigable(ontology, name):
 @pytest.mark.parametrize(
     "name, category, known_by",
     [
-        ("unicorn", Category.METRIC_OBSTACLE, ""),
+        ("qwertz", Category.METRIC_OBSTACLE, ""),
         ("yellow_traffic_cone", Category.SEMANTIC_BARRIER, "its ending traffic_cone"),
         ("polished_floor", Category.NON_NAVIGABLE_SURFACE, "its ending floor"),
         ("leaking_drum", Category.HAZARD_INDICATOR, "the word leaking"),
@@ -115,6 +122,17 @@ BROKEN = [
     (lambda d: d["radius_m"].pop("social_zone"), "radius_m"),
     (lambda d: d.update(hazard_words="wet"), "hazard_words"),
     (lambda d: d.update(metric_obstacle=[]), "metric_obstacle"),
+    (lambda d: d.pop("wordnet"), "top level"),
+    (lambda d: d.update(wordnet=[]), "wordnet: got"),
+    (lambda d: d["wordnet"].update(navigable_surface={"artifact.floor": {}}), "wordnet: got"),
+    (lambda d: d["wordnet"].update(social_zone=["Tops.person"]), "wordnet.social_zone: got"),
+    (lambda d: d["wordnet"]["social_zone"].update({"person": {}}), "file.word"),
+    (lambda d: d["wordnet"]["social_zone"].update({"verb.person": {}}), "file.word"),
+    (lambda d: d["wordnet"]["social_zone"].update({"person.": {}}), "file.word"),
+    (lambda d: d["wordnet"]["social_zone"].update({"artifact.vehicle": {}}), "allowed once"),
+    (lambda d: d["wordnet"]["social_zone"].update({"person.boy": {"aliases": ["lad"]}}), "aliases"),
+    (lambda d: d["wordnet"]["social_zone"].update({"person.boy": {"radius_m": 0}}), "boy.radius_m"),
+    (lambda d: d["wordnet"]["metric_obstacle"].update({"food.cake": {"radius_m": 1.0}}), "cake.radius_m"),
 ]
 
 

@@ -2,12 +2,15 @@
 """When answers come into force, and how the messages of a frame are brought together."""
 
 import random
+import threading
+import time
 
 import pytest
 
+from core_perception.asking import Findings
 from core_perception.newest import NewestAnswer
 from core_perception.predicates import Constraints
-from core_perception.reasoners.base import Evidence, Reasoner
+from core_perception.reasoners.base import Answer, Evidence, Reasoner
 from core_perception.release import ReleaseSchedule
 from core_perception.stamped_join import StampedJoin
 
@@ -17,15 +20,45 @@ PERIOD_NS = 100_000_000
 class CountingReasoner(Reasoner):
     source = "counting"
 
-    def __init__(self, reads_evidence=True):
+    def __init__(self, reads_evidence=True, latencies_ns=()):
         self.reads_evidence, self.seen, self.resets = reads_evidence, [], 0
+        self.latencies_ns = list(latencies_ns)
 
     def reason(self, evidence):
         self.seen.append(evidence.stamp_ns)
-        return Constraints(source=self.source, image_stamp_ns=evidence.stamp_ns, justification=str(len(self.seen)))
+        constraints = Constraints(source=self.source, image_stamp_ns=evidence.stamp_ns)
+        return Answer(constraints, self.latencies_ns.pop(0) if self.latencies_ns else None)
 
     def reset(self):
         self.resets += 1
+
+
+class SlowReasoner(CountingReasoner):
+    """Answers when it is let go."""
+
+    is_slow = True
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.go = threading.Semaphore(0)
+        self.busy = threading.Lock()
+
+    def reason(self, evidence):
+        assert self.busy.acquire(blocking=False), "two calls at a time"
+        self.go.acquire()
+        self.busy.release()
+        return super().reason(evidence)
+
+
+def make_schedule(reasoner, latency_ns, **options):
+    return ReleaseSchedule(reasoner, latency_ns, Findings(reasoner), **options)
+
+
+def wait_for(condition, limit_s=5.0):
+    end = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.005)
 
 
 def summary(statements):
@@ -36,19 +69,19 @@ def summary(statements):
 
 
 def test_an_answer_holds_from_image_stamp_plus_latency_on():
-    schedule = ReleaseSchedule(CountingReasoner(), 2 * PERIOD_NS)
+    schedule = make_schedule(CountingReasoner(), 2 * PERIOD_NS)
     stated = []
     for k in range(5):
         schedule.add_frame(k * PERIOD_NS)
         stated += schedule.poll()
         schedule.add_evidence(Evidence(k * PERIOD_NS))
         stated += schedule.poll()
-    assert summary(stated) == [(0, None), (1, None), (2, 0), (3, 1), (4, 2)]
+    assert summary(stated) == [(0, None), (1, None), (2, 0), (3, 0), (4, 2)]
     assert stated[-1][1].latency_ns == 2 * PERIOD_NS
 
 
 def test_statement_waits_for_evidence_that_is_late():
-    schedule = ReleaseSchedule(CountingReasoner(), PERIOD_NS)
+    schedule = make_schedule(CountingReasoner(), PERIOD_NS)
     schedule.add_frame(0)
     assert summary(schedule.poll()) == [(0, None)]
     schedule.add_frame(PERIOD_NS)
@@ -60,7 +93,7 @@ def test_statement_waits_for_evidence_that_is_late():
 @pytest.mark.parametrize("seed", range(20))
 def test_the_order_of_arrival_changes_no_statement(seed):
     reasoner = CountingReasoner()
-    schedule = ReleaseSchedule(reasoner, 3 * PERIOD_NS)
+    schedule = make_schedule(reasoner, 3 * PERIOD_NS)
     rng, stated, waiting = random.Random(seed), [], []
     for k in range(12):
         schedule.add_frame(k * PERIOD_NS)
@@ -73,12 +106,12 @@ def test_the_order_of_arrival_changes_no_statement(seed):
     for k in waiting:
         schedule.add_evidence(Evidence(k * PERIOD_NS))
         stated += schedule.poll()
-    assert summary(stated) == [(k, k - 3 if k >= 3 else None) for k in range(12)]
-    assert reasoner.seen == sorted(reasoner.seen)
+    assert summary(stated) == [(k, (k // 3 - 1) * 3 if k >= 3 else None) for k in range(12)]
+    assert [stamp_ns // PERIOD_NS for stamp_ns in reasoner.seen[:4]] == [0, 3, 6, 9]
 
 
 def test_stamps_a_nanosecond_beside_the_period_are_not_a_frame_late():
-    schedule = ReleaseSchedule(CountingReasoner(), PERIOD_NS)
+    schedule = make_schedule(CountingReasoner(), PERIOD_NS)
     schedule.add_frame(300_000_001)
     schedule.poll()
     schedule.add_evidence(Evidence(300_000_001))
@@ -87,14 +120,14 @@ def test_stamps_a_nanosecond_beside_the_period_are_not_a_frame_late():
 
 
 def test_fixed_rules_hold_from_the_frame_itself():
-    schedule = ReleaseSchedule(CountingReasoner(reads_evidence=False), PERIOD_NS)
+    schedule = make_schedule(CountingReasoner(reads_evidence=False), PERIOD_NS)
     for k in range(3):
         schedule.add_frame(k * PERIOD_NS)
         assert summary(schedule.poll()) == [(k, k)]
 
 
 def test_a_frame_that_comes_twice_is_stated_once():
-    schedule = ReleaseSchedule(CountingReasoner(), PERIOD_NS)
+    schedule = make_schedule(CountingReasoner(), PERIOD_NS)
     schedule.add_frame(0)
     schedule.add_frame(0)
     assert len(schedule.poll()) == 1
@@ -102,7 +135,7 @@ def test_a_frame_that_comes_twice_is_stated_once():
 
 def test_a_world_that_was_reset_starts_from_nothing():
     reasoner = CountingReasoner()
-    schedule = ReleaseSchedule(reasoner, PERIOD_NS)
+    schedule = make_schedule(reasoner, PERIOD_NS)
     for k in (7, 8):
         schedule.add_frame(k * PERIOD_NS)
         schedule.add_evidence(Evidence(k * PERIOD_NS))
@@ -115,12 +148,127 @@ def test_a_world_that_was_reset_starts_from_nothing():
 @pytest.mark.parametrize("latency_ns", [0, -1])
 def test_a_frame_may_not_wait_for_itself(latency_ns):
     with pytest.raises(ValueError, match="latency_ns"):
-        ReleaseSchedule(CountingReasoner(), latency_ns)
+        make_schedule(CountingReasoner(), latency_ns)
+
+
+def run_frames(schedule, count, poll_between=lambda k: None):
+    stated = []
+    for k in range(count):
+        schedule.add_frame(k * PERIOD_NS)
+        poll_between(k)
+        stated += schedule.poll()
+        schedule.add_evidence(Evidence(k * PERIOD_NS))
+        stated += schedule.poll()
+    return stated
+
+
+def test_an_answer_with_its_own_latency_comes_into_force_by_it_and_frames_between_are_not_asked_about():
+    reasoner = CountingReasoner(latencies_ns=[430_000_000, 250_000_000, 100_000_000])
+    stated = run_frames(make_schedule(reasoner, PERIOD_NS), 12)
+    assert [stamp_ns // PERIOD_NS for stamp_ns in reasoner.seen[:3]] == [0, 5, 8]
+    assert summary(stated)[4:10] == [(4, None), (5, 0), (6, 0), (7, 0), (8, 5), (9, 8)]
+    assert stated[5][1].latency_ns == 430_000_000
+
+
+def test_a_void_answer_changes_nothing_is_counted_and_its_pause_is_kept():
+    class Failing(CountingReasoner):
+        def reason(self, evidence):
+            answer = super().reason(evidence)
+            if len(self.seen) == 2:
+                return Answer(None, PERIOD_NS, "timeout", "no reply", retry_after_ns=3 * PERIOD_NS)
+            return answer
+
+    reasoner = Failing()
+    findings = Findings(reasoner)
+    stated = run_frames(ReleaseSchedule(reasoner, PERIOD_NS, findings), 9)
+    assert [stamp_ns // PERIOD_NS for stamp_ns in reasoner.seen] == [0, 1, 5, 6, 7, 8]
+    assert summary(stated) == [(0, None), *((k, 0) for k in range(1, 6)), (6, 5), (7, 6), (8, 7)]
+    assert findings.counts == {"answers": 4, "void_timeout": 1}
+    assert findings.failures_in_row == 0
+
+
+def test_a_reasoner_that_raises_gives_a_void_answer():
+    class Broken(CountingReasoner):
+        def reason(self, evidence):
+            raise ZeroDivisionError("no")
+
+    reasoner = Broken()
+    findings = Findings(reasoner)
+    assert summary(run_frames(ReleaseSchedule(reasoner, PERIOD_NS, findings), 3)) == [(0, None), (1, None), (2, None)]
+    assert findings.counts["void_internal_error"] == 2
+    assert "ZeroDivisionError" in findings.last_failure
+
+
+def test_while_a_slow_reasoner_works_the_world_goes_on_in_real_time_and_no_faster():
+    reasoner = SlowReasoner(latencies_ns=[2 * PERIOD_NS])
+    schedule = make_schedule(reasoner, PERIOD_NS)
+    schedule.add_frame(0)
+    assert summary(schedule.poll()) == [(0, None)]
+    schedule.add_evidence(Evidence(0))
+    begun = time.monotonic()
+    schedule.poll()
+    schedule.add_frame(PERIOD_NS)
+    assert schedule.poll() == []
+    stated = []
+    wait_for(lambda: stated.extend(schedule.poll()) or stated)
+    assert summary(stated) == [(1, None)]
+    assert time.monotonic() - begun > 0.1
+    schedule.add_frame(2 * PERIOD_NS)
+    assert schedule.poll() == []
+    reasoner.go.release()
+    wait_for(lambda: stated.extend(schedule.poll()) or len(stated) == 2)
+    assert summary(stated)[1] == (2, 0)
+
+
+@pytest.mark.parametrize(
+    ("reset", "frame_ns"),
+    [(lambda s: None, 0), (lambda s: s.forget_answers(), 9 * PERIOD_NS)],
+    ids=["world", "answers"],
+)
+def test_an_answer_to_what_was_before_a_reset_is_not_taken_in_and_the_next_question_waits_for_it(reset, frame_ns):
+    reasoner = SlowReasoner()
+    schedule = make_schedule(reasoner, PERIOD_NS)
+    schedule.add_frame(8 * PERIOD_NS)
+    schedule.add_evidence(Evidence(8 * PERIOD_NS))
+    schedule.poll()
+    reset(schedule)
+    schedule.add_frame(frame_ns)
+    schedule.add_evidence(Evidence(frame_ns))
+    schedule.poll()
+    reasoner.go.release(2)
+    schedule.add_frame(frame_ns + PERIOD_NS)
+    stated = []
+    wait_for(lambda: stated.extend(schedule.poll()) or (stated and stated[-1][0] == frame_ns + PERIOD_NS))
+    assert [c.image_stamp_ns for _, c in stated][:-1] == [None] * (len(stated) - 1)
+    assert stated[-1][1].image_stamp_ns in (None, frame_ns)
+    wait_for(lambda: len(reasoner.seen) == 2)
+    assert reasoner.seen == [8 * PERIOD_NS, frame_ns]
+
+
+def test_a_slow_answer_does_not_hold_up_the_statements_and_its_age_grows_meanwhile():
+    reasoner = SlowReasoner()
+    newest = NewestAnswer(reasoner, Findings(reasoner))
+    newest.add_evidence(Evidence(10))
+    begun = time.monotonic()
+    assert newest.at(20).image_stamp_ns is None
+    newest.add_evidence(Evidence(30))
+    assert newest.at(40).image_stamp_ns is None
+    assert time.monotonic() - begun < 1.0
+    reasoner.go.release()
+    wait_for(lambda: newest.at(50).image_stamp_ns == 10)
+    assert newest.at(60).latency_ns == 40
+    newest.forget_answers()
+    reasoner.go.release()
+    newest.add_evidence(Evidence(70))
+    assert newest.at(80).image_stamp_ns is None
+    reasoner.go.release()
+    wait_for(lambda: newest.at(90).image_stamp_ns == 70)
+    assert reasoner.seen == [10, 30, 70]
 
 
 def test_newest_answer_reasons_once_per_evidence_and_keeps_its_stamp():
     reasoner = CountingReasoner()
-    newest = NewestAnswer(reasoner)
+    newest = NewestAnswer(reasoner, Findings(reasoner))
     assert newest.at(5).image_stamp_ns is None
     newest.add_evidence(Evidence(10))
     newest.add_evidence(Evidence(20))
@@ -155,3 +303,12 @@ def test_join_keeps_no_more_than_its_capacity():
         join.add("a", stamp_ns, stamp_ns)
     assert join.add("b", 6, 6) is None
     assert join.add("b", 7, 7) == {"a": 7, "b": 7}
+
+
+def test_join_with_a_slop_takes_the_nearest_and_nothing_farther():
+    join = StampedJoin("image", "labels", slop_ns=10)
+    for stamp_ns in (100, 108, 130):
+        assert join.add("image", stamp_ns, stamp_ns) is None
+    assert join.add("labels", 112, "l") == {"image": 108, "labels": "l"}
+    assert join.add("labels", 145, "m") is None
+    assert join.add("image", 150, 150) == {"image": 150, "labels": "m"}

@@ -11,7 +11,7 @@ import unittest
 import numpy as np
 import rospy
 import rostest
-from core_msgs.msg import InstanceArray, LabelClass, LabelInfo, Predicate, SafetyConstraints, SafetyGrid
+from core_msgs.msg import Instance, InstanceArray, LabelClass, LabelInfo, Predicate, SafetyConstraints, SafetyGrid
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import OccupancyGrid
@@ -66,6 +66,13 @@ def cone_rules(stamp, image_stamp):
             Predicate(spatial_operator=Predicate.BETWEEN, class_name="traffic_cone", verdict=Predicate.UNSAFE),
         ]
     return message
+
+
+def exempting(constraints, numbers, history_start):
+    """The same constraints, BETWEEN sparing the instances of these numbers, counted by this history."""
+    constraints.instances_history_start = history_start
+    constraints.predicates[1].exempt_instances = numbers
+    return constraints
 
 
 class FakeChain:
@@ -159,6 +166,11 @@ def cell(grid, x_m, y_m):
     return iy * grid.width + ix
 
 
+def numbers_of(instances):
+    """Numbers of the instances of a message."""
+    return [instance.id for instance in instances.instances]
+
+
 def at(stamp):
     """Accepts messages of this stamp."""
     return lambda message: message.header.stamp == stamp
@@ -171,7 +183,7 @@ class SemanticMapTest(unittest.TestCase):
     def setUpClass(cls):
         cls.chain, cls.free = FakeChain("/"), FakeChain("/free/")
 
-    def test_1_nothing_is_voted_before_the_first_answer(self):
+    def test_01_nothing_is_voted_before_the_first_answer(self):
         stamp = rospy.Time(1)
         self.chain.send(stamp, cone_rules(stamp, rospy.Time()))
         grid = self.chain.wait("safety_grid", at(stamp))
@@ -182,7 +194,7 @@ class SemanticMapTest(unittest.TestCase):
         instances = self.chain.wait("semantic_map/instances", at(stamp)).instances
         self.assertEqual([i.class_name for i in instances], ["traffic_cone"] * 5)
 
-    def test_2_line_between_cones_is_unsafe_and_says_why(self):
+    def test_02_line_between_cones_is_unsafe_and_says_why(self):
         for k in (2, 3):
             stamp = rospy.Time(k)
             self.chain.send(stamp, cone_rules(stamp, rospy.Time(1)))
@@ -199,7 +211,55 @@ class SemanticMapTest(unittest.TestCase):
         self.assertEqual(unsafe.data[cell(grid, -5.0, 0.0)], -1)
         self.assertEqual(self.chain.wait("semantic_map/probability", at(stamp)).data[cell(grid, 3.0, 0.1)], 0)
 
-    def test_3_octomaps_carry_the_id_of_their_payload(self):
+    def test_03_exempt_cones_open_the_line_only_in_the_history_they_count_by(self):
+        instances = self.chain.wait("semantic_map/instances", at(rospy.Time(3)))
+        self.assertEqual(instances.history_start, rospy.Time(1))
+        self.assertEqual(self.chain.wait("safety_grid", at(rospy.Time(3))).history_start, rospy.Time(1))
+        numbers = numbers_of(instances)
+        self.assertEqual({i.verdict for i in instances.instances}, {Instance.UNSAFE})
+        cases = [  # exempt, history, is open
+            (numbers, rospy.Time(1, 1), False),
+            (numbers[1:], rospy.Time(1), False),
+            (numbers, rospy.Time(1), True),
+            ([], rospy.Time(), False),
+        ]
+        for k, (exempt, history_start, is_open) in enumerate(cases):
+            stamp = rospy.Time(3, 1000 * (k + 1))
+            self.chain.send(stamp, exempting(cone_rules(stamp, rospy.Time(1)), exempt, history_start))
+            grid = self.chain.wait("safety_grid", at(stamp))
+            index = cell(grid, 4.99, 0.5)
+            self.assertEqual(grid.state[index], SafetyGrid.SAFE if is_open else SafetyGrid.UNSAFE, k)
+            self.assertEqual(grid.h_m[index] > 0.0, is_open, k)
+            held = self.chain.wait("semantic_map/instances", at(stamp))
+            self.assertEqual(numbers_of(held), numbers)
+            self.assertEqual({i.verdict for i in held.instances}, {Instance.SAFE if is_open else Instance.UNSAFE}, k)
+
+    def test_04_exemption_without_history_or_number_is_refused_with_a_diagnostic(self):
+        cases = [([1], rospy.Time(), "instances_history_start is 0"), ([0], rospy.Time(1), "instance 0")]
+        for k, (exempt, history_start, complaint) in enumerate(cases):
+            stamp, following = rospy.Time(3, 10000 * (2 * k + 1)), rospy.Time(3, 10000 * (2 * k + 2))
+            self.chain.send(stamp, exempting(cone_rules(stamp, rospy.Time(1)), exempt, history_start))
+            self.chain.wait("diagnostics", lambda m, part=complaint: part in m.status[0].message)
+            self.chain.send(following, cone_rules(following, rospy.Time(1)))
+            self.chain.wait("safety_grid", at(following))
+            self.assertFalse(any(map(at(stamp), self.chain.answers["safety_grid"])))
+
+    def test_05_cones_that_only_on_speaks_of_are_hidden_while_it_does(self):
+        numbers = numbers_of(self.chain.answers["semantic_map/instances"][-1])
+        self.assertEqual(len(numbers), len(CONES_M))
+        for k in range(6):
+            stamp, is_surface = rospy.Time(3, 100000 * (k + 1)), k < 5
+            constraints = cone_rules(stamp, rospy.Time(1))
+            if is_surface:
+                constraints.predicates[1].spatial_operator = Predicate.ON
+            self.chain.send(stamp, constraints)
+            held = self.chain.wait("semantic_map/instances", at(stamp))
+            grid = self.chain.wait("safety_grid", at(stamp))
+            self.assertEqual(numbers_of(held), [] if is_surface else numbers)
+            state = grid.state[cell(grid, 4.99, 0.5)]
+            self.assertEqual(state, SafetyGrid.SAFE if is_surface else SafetyGrid.UNSAFE)
+
+    def test_06_octomaps_carry_the_id_of_their_payload(self):
         ids = {"octomap_full": "OcTree", "octomap_binary": "OcTree", "octomap_color": "ColorOcTree"}
         ids["semantic_octomap"] = "SemanticOcTree"
         for topic, expected in ids.items():
@@ -208,7 +268,7 @@ class SemanticMapTest(unittest.TestCase):
         answer = rospy.ServiceProxy("/octomap_binary", GetOctomap)()
         self.assertEqual((answer.map.id, answer.map.binary), ("OcTree", True))
 
-    def test_4_frame_waits_for_its_pose_and_its_constraints(self):
+    def test_07_frame_waits_for_its_pose_and_its_constraints(self):
         stamp = rospy.Time(4)
         self.chain.send_frame(stamp, cone_rules(stamp, rospy.Time(1)))
         self.chain.send_pose(stamp)
@@ -221,7 +281,7 @@ class SemanticMapTest(unittest.TestCase):
         self.chain.pubs["safety/constraints"].publish(cone_rules(early, rospy.Time(1)))
         self.chain.wait("safety_grid", at(early))
 
-    def test_5_frame_of_wrong_size_is_refused_with_a_diagnostic(self):
+    def test_08_frame_of_wrong_size_is_refused_with_a_diagnostic(self):
         before = self.chain.answers["safety_grid"][-1]
         stamp = rospy.Time(6)
         self.chain.send(stamp, cone_rules(stamp, rospy.Time(1)), depth=to_image(self.chain.depth[:80], "32FC1", stamp))
@@ -232,14 +292,25 @@ class SemanticMapTest(unittest.TestCase):
         self.assertFalse(any(map(at(stamp), self.chain.answers["safety_grid"])))
         self.assertEqual(before.state, after.state)
 
-    def test_6_stamp_that_goes_back_flushes_the_map(self):
+    def test_09_stamp_that_goes_back_flushes_the_map(self):
         stamp = rospy.Time(0.5)
         self.chain.send(stamp, cone_rules(stamp, rospy.Time()))
         grid = self.chain.wait("safety_grid", at(stamp))
         self.assertEqual(sum(grid.n_unsafe), 0)
         self.assertEqual(grid.state[cell(grid, 3.0, 0.1)], SafetyGrid.UNKNOWN)
+        self.assertEqual(grid.history_start, stamp)
+        # Nothing said of the numbers from before reaches what is held now, whatever history it claims.
+        old = numbers_of(self.chain.wait("semantic_map/instances", at(rospy.Time(7))))
+        for k, history_start in enumerate((rospy.Time(1), stamp)):
+            later = rospy.Time(0.6 + 0.1 * k)
+            self.chain.send(later, exempting(cone_rules(later, rospy.Time(0.5)), old, history_start))
+            held = self.chain.wait("semantic_map/instances", at(later))
+            self.assertEqual(held.history_start, stamp)
+            self.assertEqual((len(held.instances), set(old) & set(numbers_of(held))), (len(CONES_M), set()))
+            grid = self.chain.wait("safety_grid", at(later))
+            self.assertEqual(grid.state[cell(grid, 4.99, 0.5)], SafetyGrid.UNSAFE)
 
-    def test_7_free_node_matches_by_slop_and_uses_the_newest_constraints(self):
+    def test_10_free_node_matches_by_slop_and_uses_the_newest_constraints(self):
         now = rospy.Time.now()
         self.free.send_pose(now)
         label_stamp = now + rospy.Duration(0.03)
@@ -251,14 +322,14 @@ class SemanticMapTest(unittest.TestCase):
         # The pixels between the cones show the floor behind them.
         self.assertEqual(grid.state[cell(grid, 5.5, 0.5)], SafetyGrid.UNSAFE)
 
-    def test_8_reset_forgets(self):
+    def test_11_reset_forgets(self):
         rospy.ServiceProxy("/free/semantic_map/reset", Empty)()
         now = rospy.Time.now()
         self.free.send(now, cone_rules(now, rospy.Time()))
         grid = self.free.wait("safety_grid", at(now))
         self.assertEqual(sum(grid.n_unsafe), 0)
 
-    def test_9_bad_parameter_ends_the_node_with_one_line(self):
+    def test_12_bad_parameter_ends_the_node_with_one_line(self):
         for argument, key in (("_tau:=1.5", "tau"), ("_no_such_key:=1", "no_such_key")):
             command = ["rosrun", "core_perception", "semantic_map", "__name:=bad", argument]
             done = subprocess.run(command, stderr=subprocess.PIPE, timeout=DEADLINE_S, check=False)

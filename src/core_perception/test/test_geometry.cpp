@@ -26,6 +26,19 @@ Predicate unsafe(SpatialOperator spatial_operator, double radius_m = 0.0) {
   return makePredicate(spatial_operator, "cone", Verdict::kUnsafe, radius_m);
 }
 
+Predicate sparing(SpatialOperator spatial_operator, const std::set<uint32_t>& exempt) {
+  Predicate predicate = unsafe(spatial_operator);
+  predicate.exempt_instances = exempt;
+  return predicate;
+}
+
+/// Numbers of the objects, or clusters, that regions were made for.
+std::multiset<uint32_t> numbersOf(const std::vector<Region>& regions) {
+  std::multiset<uint32_t> numbers;
+  for (const Region& region : regions) numbers.insert(region.cause.instance_id);
+  return numbers;
+}
+
 TEST(Geometry, hull_contains_every_point_and_turns_left) {
   std::mt19937 random(1);
   std::uniform_real_distribution<double> coordinate(-5.0, 5.0);
@@ -114,6 +127,107 @@ TEST(Regions, extended_object_is_surrounded_cell_by_cell_and_its_hull_is_no_foot
       buildRegions({wall}, {unsafe(SpatialOperator::kAround)}, InstanceParams(), 0.2);
   ASSERT_EQ(around.size(), 1u);
   EXPECT_EQ(around[0].parts.size(), 2u);
+}
+
+TEST(Regions, exempt_object_has_none_and_its_neighbour_keeps_its_own) {
+  const std::vector<HeldInstance> all{makeHeld(1, {0, 0}), makeHeld(2, {2, 0})};
+  for (const auto kind : {SpatialOperator::kNear, SpatialOperator::kAround}) {
+    const auto numbers = [&](const std::vector<Predicate>& predicates) {
+      return numbersOf(buildRegions(all, predicates, InstanceParams(), 0.2));
+    };
+    EXPECT_EQ(numbers({sparing(kind, {})}), (std::multiset<uint32_t>{1, 2}));
+    EXPECT_EQ(numbers({sparing(kind, {1})}), (std::multiset<uint32_t>{2}));
+    EXPECT_EQ(numbers({sparing(kind, {7})}), (std::multiset<uint32_t>{1, 2}));
+    EXPECT_EQ(numbers({sparing(kind, {1}), unsafe(kind)}), (std::multiset<uint32_t>{1, 2, 2}))
+        << "the other predicate speaks of it still";
+  }
+}
+
+TEST(Regions, between_spares_a_cluster_only_when_all_its_members_are_exempt) {
+  InstanceParams params;
+  std::vector<HeldInstance> all{makeHeld(1, {0, 0}), makeHeld(2, {2, 0}), makeHeld(3, {4, 0}),
+                                makeHeld(5, {0, 9}), makeHeld(6, {2, 9})};
+  labelClusters(params.between_max_gap_m, &all);
+  const auto build = [&](const std::set<uint32_t>& exempt) {
+    return buildRegions(all, {sparing(SpatialOperator::kBetween, exempt)}, params, 0.2);
+  };
+  EXPECT_EQ(numbersOf(build({})), (std::multiset<uint32_t>{1, 5}));
+  EXPECT_EQ(numbersOf(build({1, 2, 3})), (std::multiset<uint32_t>{5}));
+  EXPECT_EQ(numbersOf(build({5, 6})), (std::multiset<uint32_t>{1}));
+  const std::vector<Region> whole = build({}), partly = build({1, 3, 5});
+  ASSERT_EQ(partly.size(), whole.size());
+  for (const Point2& end : {Point2{-0.1, 0.0}, Point2{4.1, 0.0}})
+    EXPECT_TRUE(contains(partly[0].parts[0], end)) << "the hull of all, the exempt included";
+}
+
+TEST(Regions, exemptions_take_away_what_they_list_and_nothing_else) {
+  const InstanceParams params;
+  std::mt19937 random(3);
+  std::uniform_real_distribution<double> coordinate(-6.0, 6.0);
+  for (int round = 0; round < 300; ++round) {
+    std::vector<HeldInstance> all;
+    std::set<uint32_t> exempt;
+    for (uint32_t id = 1; id <= 12; ++id) {
+      const std::string name = random() % 4 == 0 ? "box" : "cone";
+      all.push_back(makeHeld(id, {coordinate(random), coordinate(random)}, 0.3, name));
+      all.back().confirmed = random() % 5 != 0;
+      if (random() % 3 != 0) exempt.insert(id);
+    }
+    labelClusters(params.between_max_gap_m, &all);
+    for (const auto kind :
+         {SpatialOperator::kNear, SpatialOperator::kAround, SpatialOperator::kBetween}) {
+      // A cluster stays where one that is not listed keeps it; any other object by itself.
+      std::multiset<uint32_t> expected;
+      for (const HeldInstance& held : all) {
+        if (held.class_name != "cone" || !held.confirmed) continue;
+        int members = 0, unlisted = 0;
+        for (const HeldInstance& other : all) {
+          if (other.class_name != "cone" || other.cluster != held.cluster) continue;
+          ++members;
+          unlisted += exempt.count(other.id) == 0 ? 1 : 0;
+        }
+        const bool between = kind == SpatialOperator::kBetween;
+        if (between && held.id == held.cluster && members >= 2 && unlisted > 0)
+          expected.insert(held.id);
+        if (!between && exempt.count(held.id) == 0) expected.insert(held.id);
+      }
+      const std::vector<Predicate> predicates{sparing(kind, exempt)};
+      const auto made = numbersOf(buildRegions(all, predicates, params, 0.2));
+      EXPECT_EQ(made, expected) << "operator " << static_cast<int>(kind) << ", round " << round;
+      for (const HeldInstance& held : all) {
+        const bool between = kind == SpatialOperator::kBetween;
+        const bool has_region =
+            held.class_name == "cone" && made.count(between ? held.cluster : held.id) > 0;
+        EXPECT_TRUE(!has_region || isUnsafeInstance(held, predicates, all)) << held.id;
+      }
+    }
+  }
+}
+
+TEST(Regions, verdict_on_an_object_follows_its_exemptions) {
+  std::vector<HeldInstance> all{makeHeld(1, {0, 0}), makeHeld(2, {2, 0}), makeHeld(3, {9, 0}),
+                                makeHeld(4, {0, 1}, 0.3, "box")};
+  labelClusters(2.5, &all);
+  const auto verdicts = [&all](const std::vector<Predicate>& predicates) {
+    std::vector<bool> unsafe_ones;
+    for (const HeldInstance& held : all)
+      unsafe_ones.push_back(isUnsafeInstance(held, predicates, all));
+    return unsafe_ones;
+  };
+  using Verdicts = std::vector<bool>;
+  const auto near = SpatialOperator::kNear, between = SpatialOperator::kBetween;
+  EXPECT_EQ(verdicts({unsafe(near)}), (Verdicts{true, true, true, false}));
+  EXPECT_EQ(verdicts({sparing(near, {1, 4})}), (Verdicts{false, true, true, false}));
+  EXPECT_EQ(verdicts({sparing(between, {1, 3})}), (Verdicts{true, true, false, false}))
+      << "the region of 2 reaches 1";
+  EXPECT_EQ(verdicts({sparing(between, {1, 2})}), (Verdicts{false, false, true, false}));
+  EXPECT_EQ(verdicts({sparing(near, {1, 2}), sparing(between, {2, 3})}),
+            (Verdicts{true, true, true, false}));
+  EXPECT_EQ(verdicts({sparing(SpatialOperator::kOn, {1, 2, 3})}),
+            (Verdicts{true, true, true, false}))
+      << "ON speaks of the class, not of objects";
+  const Predicate safe = makePredicate(between, "cone", Verdict::kSafe);
+  EXPECT_EQ(verdicts({unsafe(between), safe}), Verdicts(4, false));
 }
 
 TEST(Regions, cells_are_those_whose_square_reaches_into_the_region) {

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <gtest/gtest.h>
 
+#include <set>
+
 #include "core_perception/instance_memory.h"
 #include "core_perception/place_probe.h"
 #include "scene.h"
@@ -106,6 +108,7 @@ TEST(InstanceMemory, pieces_of_an_extended_object_grow_together) {
   memory.update(1.0, {makeDetection({0, 0}, 3.0, "rack")}, hidden);
   memory.update(2.0, {makeDetection({2, 0}, 3.0, "rack")}, hidden);
   ASSERT_EQ(memory.instances().size(), 1u);
+  EXPECT_EQ(memory.instances()[0].id, 1u);
   EXPECT_TRUE(contains(memory.instances()[0].footprint, {-1.4, 0}));
   EXPECT_TRUE(contains(memory.instances()[0].footprint, {3.4, 0}));
 }
@@ -116,7 +119,64 @@ TEST(InstanceMemory, held_duplicate_is_merged_when_the_object_covers_it) {
   ASSERT_EQ(memory.instances().size(), 2u);
   memory.update(2.0, {makeDetection({3.15, 0}, 0.5)}, hidden);
   ASSERT_EQ(memory.instances().size(), 1u);
-  EXPECT_EQ(memory.instances()[0].id, 1u);
+  EXPECT_EQ(memory.instances()[0].id, 3u) << "what was said of 1 or of 2 is not said of both";
+  EXPECT_EQ(memory.instances()[0].cluster, 3u);
+  EXPECT_EQ(memory.instances()[0].frames_seen, 2u);
+  memory.update(3.0, {makeDetection({3.15, 0}, 0.5)}, hidden);
+  EXPECT_EQ(memory.instances()[0].id, 3u) << "and it keeps that number";
+}
+
+TEST(InstanceMemory, number_is_never_given_twice_not_even_after_clear) {
+  InstanceMemory memory{InstanceParams()};
+  std::set<uint32_t> given;
+  for (int k = 0; k < 5; ++k) {
+    memory.update(1.0, {makeDetection({3, 0}), makeDetection({3, 2})}, hidden);
+    for (const HeldInstance& held : memory.instances())
+      EXPECT_TRUE(given.insert(held.id).second) << held.id;
+    memory.clear();
+    EXPECT_TRUE(memory.instances().empty());
+  }
+  EXPECT_EQ(given.size(), 10u);
+}
+
+TEST(InstanceMemory, object_put_aside_is_back_unchanged_when_its_class_is_no_surface_any_more) {
+  InstanceMemory memory{InstanceParams()};
+  const Detection cone = makeDetection({3, 0}), box = makeDetection({5, 0}, 0.3, "box");
+  for (int k = 0; k < 3; ++k) memory.update(1.0, {cone, box}, hidden);
+  const HeldInstance before = memory.instances()[0];
+  const auto cones = [](const std::string& name) { return name == "cone"; };
+  const auto none = [](const std::string&) { return false; };
+  for (int k = 0; k < 50; ++k) {
+    memory.hideClasses(cones);
+    memory.update(2.0, {box}, hidden);
+    ASSERT_EQ(memory.instances().size(), 1u);
+    EXPECT_EQ(memory.instances()[0].class_name, "box");
+  }
+  memory.hideClasses(none);
+  memory.update(3.0, {}, hidden);
+  ASSERT_EQ(memory.instances().size(), 2u);
+  const HeldInstance& after = memory.instances()[1];
+  EXPECT_EQ(after.id, before.id);
+  EXPECT_EQ(after.class_name, "cone");
+  EXPECT_TRUE(after.confirmed);
+  EXPECT_FALSE(after.in_view);
+  EXPECT_EQ(after.frames_seen, before.frames_seen);
+  memory.hideClasses(cones);
+  memory.clear();
+  memory.hideClasses(none);
+  EXPECT_TRUE(memory.instances().empty());
+}
+
+TEST(InstanceMemory, object_put_aside_is_released_like_any_other) {
+  const InstanceParams params;
+  for (int looks = params.release_frames - 1; looks <= params.release_frames; ++looks) {
+    InstanceMemory memory{params};
+    memory.update(1.0, {makeDetection({3, 0})}, hidden);
+    memory.hideClasses([](const std::string&) { return true; });
+    for (int k = 0; k < looks; ++k) memory.update(2.0, {}, empty);
+    memory.hideClasses([](const std::string&) { return false; });
+    EXPECT_EQ(memory.instances().empty(), looks == params.release_frames);
+  }
 }
 
 TEST(InstanceDetector, splits_objects_that_share_a_label_and_drops_specks) {

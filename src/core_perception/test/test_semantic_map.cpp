@@ -26,6 +26,21 @@ std::string ruleAt(const SafetyGrid& grid, double x_m, double y_m) {
   return cause == kNoCause ? "" : grid.causes[cause].rule;
 }
 
+std::vector<uint32_t> idsOf(const SemanticMap& map) {
+  std::vector<uint32_t> ids;
+  for (const HeldInstance& held : map.instances()) ids.push_back(held.id);
+  return ids;
+}
+
+/// The same constraints with everything held now exempt from all predicates.
+Constraints exemptAll(Constraints constraints, const SemanticMap& map) {
+  constraints.instances_history_start_s = map.history_start_s();
+  for (Predicate& predicate : constraints.predicates) {
+    for (const uint32_t id : idsOf(map)) predicate.exempt_instances.insert(id);
+  }
+  return constraints;
+}
+
 SemanticMapParams makePaperParams() {
   SemanticMapParams p;
   p.operators = "image";
@@ -154,15 +169,152 @@ TEST(SemanticMap, predicate_on_an_object_does_not_undo_the_regions_it_makes) {
   }
 }
 
-TEST(SemanticMap, class_that_only_on_speaks_of_is_a_surface_and_no_object) {
+TEST(SemanticMap, objects_of_a_class_that_only_on_speaks_of_are_hidden_while_it_does) {
+  SemanticMap map{SemanticMapParams()};
+  Constraints surface = makeConeRules();
+  surface.predicates = {makePredicate(SpatialOperator::kOn, "floor", Verdict::kSafe),
+                        makePredicate(SpatialOperator::kOn, "traffic_cone", Verdict::kUnsafe)};
+  int k = 0;
+  while (++k <= 3) map.update(makeConeLine().render(k * kPeriod_s, 0.0, 0.0, 0.0), makeConeRules());
+  const std::vector<uint32_t> before = idsOf(map);
+  ASSERT_EQ(before.size(), 5u);
+  ASSERT_EQ(ruleAt(map.grid(), 4.9, 0.5), "BETWEEN(traffic_cone)");
+  while (++k <= 15) {
+    map.update(makeConeLine().render(k * kPeriod_s, 0.0, 0.0, 0.0), surface);
+    EXPECT_TRUE(map.instances().empty());
+  }
+  EXPECT_EQ(stateAt(map.grid(), 4.9, 0.5), CellState::kSafe) << "no region, and the floor is voted";
+  EXPECT_EQ(stateAt(map.grid(), 4.9, 0.0), CellState::kUnsafe) << "the cone itself stands there";
+  // Back at once, although the robot looks the other way by now.
+  map.update(makeConeLine().render(++k * kPeriod_s, 0.0, 0.0, 3.14), makeConeRules());
+  EXPECT_EQ(idsOf(map), before);
+  for (double y = -2.0; y <= 2.0; y += 0.1)
+    EXPECT_EQ(ruleAt(map.grid(), 4.9, y), "BETWEEN(traffic_cone)") << y;
+}
+
+TEST(SemanticMap, flat_thing_is_unsafe_by_near_although_on_it_is_called_safe) {
+  Scene scene;
+  scene.cylinders = {{"puddle", {3.0, 0.0}, 0.4, 0.0, 0.01}};
+  const Predicate on = makePredicate(SpatialOperator::kOn, "puddle", Verdict::kSafe);
+  const Predicate near = makePredicate(SpatialOperator::kNear, "puddle", Verdict::kUnsafe);
+  const auto decide = [&scene](const std::vector<Predicate>& predicates, int frames) {
+    SemanticMap map{SemanticMapParams()};
+    Constraints rules = makeConeRules();
+    rules.predicates.insert(rules.predicates.end(), predicates.begin(), predicates.end());
+    for (int k = 1; k <= frames; ++k) map.update(scene.render(k * kPeriod_s, 0.0, 0.0, 0.0), rules);
+    const size_t n_held = map.instances().size();
+    return std::make_tuple(stateAt(map.grid(), 2.9, 0.1), ruleAt(map.grid(), 2.9, 0.1), n_held);
+  };
+  ASSERT_EQ(decide({on}, 1), std::make_tuple(CellState::kSafe, std::string(), size_t{0}));
+  const auto expected = std::make_tuple(CellState::kUnsafe, std::string("NEAR(puddle)"), size_t{1});
+  for (const int frames : {1, 3}) {
+    EXPECT_EQ(decide({on, near}, frames), expected) << frames;
+    EXPECT_EQ(decide({near, on}, frames), expected) << frames;
+  }
+}
+
+TEST(SemanticMap, exempt_objects_have_no_regions_any_more) {
   SemanticMap map{SemanticMapParams()};
   Constraints rules = makeConeRules();
-  rules.predicates = {makePredicate(SpatialOperator::kOn, "traffic_cone", Verdict::kUnsafe)};
-  for (int k = 1; k <= 2; ++k)
-    map.update(makeConeLine().render(k * kPeriod_s, 0.0, 0.0, 0.0), Constraints());
-  ASSERT_EQ(map.instances().size(), 5u);
-  map.update(makeConeLine().render(3 * kPeriod_s, 0.0, 0.0, 0.0), rules);
-  EXPECT_TRUE(map.instances().empty());
+  rules.predicates.push_back(
+      makePredicate(SpatialOperator::kAround, "traffic_cone", Verdict::kUnsafe, 0.7));
+  int k = 0;
+  while (++k <= 3) map.update(makeConeLine().render(k * kPeriod_s, 0.0, 0.0, 0.0), rules);
+  ASSERT_EQ(stateAt(map.grid(), 4.5, 2.1), CellState::kUnsafe);
+  Constraints exempting = exemptAll(rules, map);
+  const uint32_t last = *exempting.predicates.back().exempt_instances.rbegin();
+  for (Predicate& predicate : exempting.predicates) predicate.exempt_instances.erase(last);
+  map.update(makeConeLine().render(++k * kPeriod_s, 0.0, 0.0, 0.0), exempting);
+  int n_around = 0;
+  for (const HeldInstance& held : map.instances()) {
+    const Point2 centre = computeCentre(held.footprint);
+    const bool around = stateAt(map.grid(), 4.3, centre.y) == CellState::kUnsafe;
+    EXPECT_EQ(around, held.id == last) << held.id;
+    n_around += around ? 1 : 0;
+  }
+  EXPECT_EQ(n_around, 1);
+  EXPECT_EQ(ruleAt(map.grid(), 4.9, 0.5), "BETWEEN(traffic_cone)") << "one member is not exempt";
+  exempting = exemptAll(rules, map);
+  map.update(makeConeLine().render(++k * kPeriod_s, 0.0, 0.0, 0.0), exempting);
+  EXPECT_EQ(stateAt(map.grid(), 4.9, 0.5), CellState::kSafe);
+  EXPECT_EQ(ruleAt(map.grid(), 4.9, 0.0), kMetricRule) << "an obstacle it remains";
+  EXPECT_EQ(map.predicates().back().exempt_instances, exempting.predicates.back().exempt_instances);
+  map.update(makeConeLine().render(++k * kPeriod_s, 0.0, 0.0, 0.0), rules);
+  EXPECT_EQ(ruleAt(map.grid(), 4.5, 2.1), "AROUND(traffic_cone)") << "back with the next answer";
+}
+
+TEST(SemanticMap, exemptions_that_count_by_another_history_are_ignored) {
+  SemanticMap map{SemanticMapParams()};
+  EXPECT_EQ(map.history_start_s(), 0.0);
+  int k = 0;
+  while (++k <= 3) map.update(makeConeLine().render(k * kPeriod_s, 0.0, 0.0, 0.0), makeConeRules());
+  EXPECT_DOUBLE_EQ(map.history_start_s(), kPeriod_s);
+  for (const double start_s : {0.0, 0.05, 0.2, std::numeric_limits<double>::quiet_NaN()}) {
+    Constraints exempting = exemptAll(makeConeRules(), map);
+    exempting.instances_history_start_s = start_s;
+    map.update(makeConeLine().render(++k * kPeriod_s, 0.0, 0.0, 0.0), exempting);
+    EXPECT_EQ(ruleAt(map.grid(), 4.9, 0.5), "BETWEEN(traffic_cone)") << start_s;
+    for (const Predicate& predicate : map.predicates())
+      EXPECT_TRUE(predicate.exempt_instances.empty());
+  }
+}
+
+TEST(SemanticMap, exemptions_do_not_outlive_a_clear_even_when_the_stamps_repeat) {
+  SemanticMap map{SemanticMapParams()};
+  for (int k = 1; k <= 3; ++k)
+    map.update(makeConeLine().render(k * kPeriod_s, 0.0, 0.0, 0.0), makeConeRules());
+  const Constraints exempting = exemptAll(makeConeRules(), map);
+  map.update(makeConeLine().render(4 * kPeriod_s, 0.0, 0.0, 0.0), exempting);
+  ASSERT_EQ(stateAt(map.grid(), 4.9, 0.5), CellState::kSafe);
+  map.clear();
+  EXPECT_EQ(map.history_start_s(), 0.0);
+  EXPECT_TRUE(map.predicates().empty());
+  for (int k = 1; k <= 4; ++k)  // a simulation that was reset starts with the same stamps
+    map.update(makeConeLine().render(k * kPeriod_s, 0.0, 0.0, 0.0), exempting);
+  ASSERT_EQ(map.history_start_s(), exempting.instances_history_start_s);
+  EXPECT_EQ(ruleAt(map.grid(), 4.9, 0.5), "BETWEEN(traffic_cone)");
+}
+
+TEST(SemanticMap, two_exempt_objects_that_turn_out_to_be_one_are_exempt_no_longer) {
+  SemanticMap map{SemanticMapParams()};
+  Constraints rules = makeConeRules();
+  rules.predicates.push_back(
+      makePredicate(SpatialOperator::kAround, "traffic_cone", Verdict::kUnsafe, 1.0));
+  Scene two, one;
+  two.cylinders = {{"traffic_cone", {3.0, -0.2}, 0.08}, {"traffic_cone", {3.0, 0.2}, 0.08}};
+  one.cylinders = {{"traffic_cone", {3.0, 0.0}, 0.35}};
+  int k = 0;
+  while (++k <= 3) map.update(two.render(k * kPeriod_s, 0.0, 0.0, 0.0), rules);
+  ASSERT_EQ(map.instances().size(), 2u);
+  const Constraints exempting = exemptAll(rules, map);
+  map.update(two.render(++k * kPeriod_s, 0.0, 0.0, 0.0), exempting);
+  ASSERT_EQ(stateAt(map.grid(), 2.1, 0.0), CellState::kSafe);
+  map.update(one.render(++k * kPeriod_s, 0.0, 0.0, 0.0), exempting);
+  ASSERT_EQ(map.instances().size(), 1u);
+  EXPECT_EQ(ruleAt(map.grid(), 2.1, 0.0), "AROUND(traffic_cone)");
+}
+
+TEST(SemanticMap, operators_on_pixels_heed_no_exemption) {
+  SemanticMap map{makePaperParams()}, plain{makePaperParams()};
+  for (int k = 1; k <= 5; ++k) {
+    const Frame frame = makeConeLine().render(k * kPeriod_s, 0.0, 0.0, 0.0);
+    map.update(frame, exemptAll(makeConeRules(), map));
+    plain.update(frame, makeConeRules());
+  }
+  ASSERT_EQ(idsOf(map).size(), 5u);
+  EXPECT_EQ(map.grid().state, plain.grid().state);
+  for (const Predicate& predicate : map.predicates())
+    EXPECT_TRUE(predicate.exempt_instances.empty());
+}
+
+TEST(SemanticMap, nothing_is_in_force_before_the_first_answer_whatever_the_message_lists) {
+  SemanticMap map{SemanticMapParams()};
+  Constraints rules = makeConeRules();
+  map.update(makeConeLine().render(0.1, 0.0, 0.0, 0.0), rules);
+  EXPECT_EQ(map.predicates().size(), rules.predicates.size());
+  rules.image_stamp_s = 0.0;
+  map.update(makeConeLine().render(0.2, 0.0, 0.0, 0.0), rules);
+  EXPECT_TRUE(map.predicates().empty());
 }
 
 TEST(SemanticMap, distance_follows_every_change_of_the_decision) {
@@ -235,6 +387,7 @@ TEST(SemanticMap, refused_frame_changes_nothing) {
   map.update(scene.render(0.1, 0.0, 0.0, 0.0), makeConeRules());
   const SafetyGrid before = map.grid();
   const size_t nodes = map.votes().tree().size();
+  const Constraints others = exemptAll(Constraints(), map);
   std::vector<Frame> bad(11, scene.render(0.2, 1.0, 0.0, 0.0));
   bad[0].labels = bad[0].labels.rowRange(0, 100).clone();
   bad[1].depth.convertTo(bad[1].depth, CV_64F);
@@ -247,7 +400,8 @@ TEST(SemanticMap, refused_frame_changes_nothing) {
   bad[8].p_map_base.y = 1e300;
   bad[9].T_map_camera.linear() *= 2.0;
   bad[10].classes.push_back({bad[10].classes.back().id, "floor"});
-  for (const Frame& frame : bad) EXPECT_THROW(map.update(frame, makeConeRules()), FrameError);
+  for (const Frame& frame : bad) EXPECT_THROW(map.update(frame, others), FrameError);
+  EXPECT_EQ(map.predicates().size(), makeConeRules().predicates.size());
   EXPECT_EQ(map.votes().tree().size(), nodes);
   EXPECT_EQ(map.grid().state, before.state);
   EXPECT_EQ(map.grid().frame.origin.x, before.frame.origin.x);

@@ -16,6 +16,7 @@ from core_control.modes import Reason, Stop, find_grid_stop, find_odometry_stop,
 from core_control.paper_profile import PaperProfile
 from core_control.params import FilterParams
 from core_control.proposal import Proposal, Situation
+from core_control.speed_cap import AgeLimiter, SpeedCap
 from core_control.types import NAN, FilterInputs, FilterResult, Mode
 
 PROFILES = {"core": CoreProfile, "paper": PaperProfile}
@@ -36,6 +37,7 @@ class CbfFilter:
         """Build the profile and start at rest."""
         self._params = params
         self._profile = PROFILES[params.profile](params)
+        self._limiter = AgeLimiter(params)
         self._latched: Optional[Stop] = None
         self._history_start_s = math.inf
         self._sent = deque(maxlen=max(1, math.ceil(params.delay_s / params.control_period_s - 1e-9)))
@@ -59,6 +61,7 @@ class CbfFilter:
         self._sent.clear()
         self._history_start_s = math.inf
         self._profile.reset()
+        self._limiter.reset()
 
     def step(self, inputs: FilterInputs) -> FilterResult:
         """Decide one command.
@@ -67,15 +70,11 @@ class CbfFilter:
             inputs: newest inputs and their ages at this tick.
 
         Returns:
-            FilterResult; u_safe is finite and within the limits (profile and enforcement allowing), and equal to the
-            nominal command when nothing speaks against it.
+            FilterResult; u_safe is finite, within the limits (profile and enforcement allowing) and within the cap that
+            falls with the age of the constraints, and equal to the nominal command when nothing speaks against it.
         """
         try:
-            # Numbers beyond any use (1e308 m/s) are caught by checks, not by warnings.
-            with np.errstate(all="ignore"):
-                result = self._decide(inputs)
-            if not np.isfinite(result.u_safe).all():
-                raise ArithmeticError(f"the command became {result.u_safe}")
+            result = self._decide_checked(inputs)
         except Exception as error:  # a fault in the arithmetic must end in zero, whatever it is
             self.latch(f"{type(error).__name__}: {error}")
             result = _stopped(inputs, self._latched)
@@ -84,7 +83,19 @@ class CbfFilter:
         self._sent.append(result.u_safe)
         return result
 
-    def _decide(self, inputs: FilterInputs) -> FilterResult:
+    def _decide_checked(self, inputs: FilterInputs) -> FilterResult:
+        """Decide, and check the command as it will be sent; ArithmeticError when it must not be."""
+        cap = self._limiter.compute_cap(inputs.constraints_age_s)
+        # Numbers beyond any use (1e308 m/s) are caught by checks, not by warnings.
+        with np.errstate(all="ignore"):
+            result = self._decide(inputs, cap)
+        if not np.isfinite(result.u_safe).all():
+            raise ArithmeticError(f"the command became {result.u_safe}")
+        if not cap.allows(result.u_safe):
+            raise ArithmeticError(f"the command {result.u_safe} exceeds the speed cap of {cap.speed_mps:.3g} m/s")
+        return replace(result, speed_cap_mps=cap.speed_mps)
+
+    def _decide(self, inputs: FilterInputs, cap: SpeedCap) -> FilterResult:
         if self._latched is None and self._params.enforce:
             self._watch_map(inputs)
         if self._latched is not None:
@@ -97,11 +108,13 @@ class CbfFilter:
         if not self._params.enforce:
             u = inputs.u_nominal
             return self._observe(inputs, FilterResult(Mode.DISABLED, u, u, detail="enforcement is switched off"))
+        u_slowed = self._limiter.limit(inputs.u_nominal, cap)
+        situation = replace(self._make_situation(inputs), u_nominal=u_slowed, cap=cap)
         try:
-            proposal = self._profile.propose(self._make_situation(inputs))
+            proposal = self._profile.propose(situation)
         except SolverError as error:
             return self._observe(inputs, _stopped(inputs, Stop(Reason.SOLVER_FAILED, str(error))))
-        return self._report(inputs.u_nominal, proposal)
+        return self._report(inputs, situation, proposal)
 
     def _watch_map(self, inputs: FilterInputs) -> None:
         """Latch when the map's memory begins later than it did: the hazards it held are no longer in it."""
@@ -134,8 +147,8 @@ class CbfFilter:
         clearance = self._profile.compute_clearance(self._make_situation(inputs))
         return replace(result, h_m=clearance.h_m, gradient=clearance.gradient)
 
-    def _report(self, u_nominal: np.ndarray, proposal: Proposal) -> FilterResult:
-        clearance = proposal.clearance
+    def _report(self, inputs: FilterInputs, situation: Situation, proposal: Proposal) -> FilterResult:
+        clearance, u_nominal = proposal.clearance, inputs.u_nominal
         changed = not np.array_equal(proposal.u, u_nominal)
         mode = Mode.FILTERED if changed else Mode.NOMINAL
         if clearance.h_m < 0.0 and self._params.profile == "core":
@@ -144,7 +157,7 @@ class CbfFilter:
             mode,
             proposal.u,
             u_nominal,
-            detail=_describe(proposal) if changed else "",
+            detail=_describe(inputs, situation, proposal) if changed else "",
             h_m=clearance.h_m,
             gradient=clearance.gradient,
             binding=proposal.binding,
@@ -159,11 +172,17 @@ def _stopped(inputs: FilterInputs, stop: Stop) -> FilterResult:
     return FilterResult(Mode.STOPPED, np.zeros(3), u_nominal, stop.reason, stop.detail)
 
 
-def _describe(proposal: Proposal) -> str:
-    note: Optional[str] = proposal.note
-    if proposal.binding is None:
-        return f"limited; {note}" if note else "limited"
-    cause, (x_m, y_m) = proposal.binding.cause, proposal.binding.point_m
-    what = " ".join(part for part in (cause.rule, cause.class_name) if part) or "an unsafe cell"
-    text = f"kept from {what} at ({x_m:.2f}, {y_m:.2f}), clearance {proposal.clearance.h_m:.2f} m"
-    return f"{text}; {note}" if note else text
+def _describe(inputs: FilterInputs, situation: Situation, proposal: Proposal) -> str:
+    """Everything that changed the command, in words."""
+    parts = []
+    if proposal.binding is not None:
+        cause, (x_m, y_m) = proposal.binding.cause, proposal.binding.point_m
+        what = " ".join(part for part in (cause.rule, cause.class_name) if part) or "an unsafe cell"
+        parts.append(f"kept from {what} at ({x_m:.2f}, {y_m:.2f}), clearance {proposal.clearance.h_m:.2f} m")
+    elif not np.array_equal(proposal.u, situation.u_nominal):
+        parts.append("limited")
+    u_nominal = inputs.u_nominal
+    if situation.u_nominal is not u_nominal or situation.cap.is_reached_by(proposal.u):
+        how = "slowed" if np.any(situation.u_nominal) or not np.any(u_nominal) else "slowed to rest"
+        parts.append(f"{how}: constraints are {inputs.constraints_age_s:.1f} s old")
+    return "; ".join(part for part in (*parts, proposal.note) if part)

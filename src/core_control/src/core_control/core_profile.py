@@ -57,6 +57,8 @@ class CoreProfile:
         rows = self._barrier.compute_rows(field, stop_pose)
         wanted, lower, upper = self._limit(situation)
         u, solve_time_s = self._solve(wanted, rows, lower, upper)
+        # Sliding may trade turning for speed. b <= 0 in every row: a smaller command satisfies them as well.
+        u = situation.cap.limit(u)
         scale = self._roll_out.find_scale(field, start, u)
         binding = self._find_binding(situation, rows, wanted, scale)
         u = u if scale == 1.0 else scale * u

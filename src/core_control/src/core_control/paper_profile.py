@@ -19,7 +19,8 @@ class PaperProfile:
         params: parameters of the filter; footprint, margins, lag and dead-band play no part.
 
     Source: [CORE] contextual safety enforcement. The result is made smaller as a whole where it exceeds the robot's
-    limits, which the paper leaves to the robot. Outside the safe set the row asks for motion even if u_nominal = 0.
+    limits, which the paper leaves to the robot, or the speed cap, where there is one. Outside the safe set the row asks
+    for motion even if u_nominal = 0.
     """
 
     def __init__(self, params: FilterParams):
@@ -48,5 +49,5 @@ class PaperProfile:
             return Proposal(wanted, clearance, rows=len(rows))
         binding = find_binding(situation.field, rows, wanted)
         u = self._qp.solve(wanted, rows.a, rows.b)
-        u = scale_to_limits(u, self._limits)
+        u = situation.cap.limit(scale_to_limits(u, self._limits))
         return Proposal(u, clearance, binding, len(rows), solve_time_s=self._qp.solve_time_s)

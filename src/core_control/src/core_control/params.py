@@ -54,6 +54,7 @@ class FilterParams:
     nominal_timeout_s: float = parameter(0.3, POSITIVE)
     grid_timeout_s: float = parameter(0.5, POSITIVE)
     odometry_timeout_s: float = parameter(0.3, POSITIVE)
+    constraints_fresh_s: float = parameter(7.5, NOT_NEGATIVE)
     constraints_ttl_s: float = parameter(15.0, POSITIVE)
     require_constraints: bool = parameter(True, Flag())
     alpha_per_s: float = parameter(2.5, POSITIVE)
@@ -91,6 +92,9 @@ class FilterParams:
         if params.profile == "core" and params.verifier_margin_m > params.margin_m:
             allowed = f">= 0 and <= margin_m ({params.margin_m:g})"
             raise ParameterError("verifier_margin_m", params.verifier_margin_m, allowed)
+        if params.constraints_fresh_s > params.constraints_ttl_s:
+            allowed = f">= 0 and <= constraints_ttl_s ({params.constraints_ttl_s:g})"
+            raise ParameterError("constraints_fresh_s", params.constraints_fresh_s, allowed)
         return params
 
     @property

@@ -9,6 +9,7 @@ from typing import Optional
 import numpy as np
 
 from core_control.safety_field import SafetyField
+from core_control.speed_cap import NO_CAP, SpeedCap
 from core_control.types import NO_CELL, BarrierRows, Binding, Clearance
 
 
@@ -20,9 +21,10 @@ class Situation:
         field: safety field of the newest grid.
         pose: (3,) x [m], y [m], yaw [rad] of base_link in the field's frame.
         twist: (3,) measured body velocity [m/s, m/s, rad/s].
-        u_nominal: (3,) wanted command, same units.
+        u_nominal: (3,) wanted command within the cap, same units.
         u_previous: (3,) command sent in the last tick.
         pending: commands sent before that have not taken effect yet, as rollout.Pending.
+        cap: speeds that the answer must not exceed either.
     """
 
     field: SafetyField
@@ -31,6 +33,7 @@ class Situation:
     u_nominal: np.ndarray
     u_previous: np.ndarray
     pending: list
+    cap: SpeedCap = NO_CAP
 
 
 @dataclass(frozen=True)

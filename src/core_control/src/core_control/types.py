@@ -161,7 +161,10 @@ class FilterInputs:
 
 @dataclass(frozen=True)
 class FilterResult:
-    """What the filter decided in one tick, and why; the fields are those of core_msgs/FilterState."""
+    """What the filter decided in one tick, and why; the fields are those of core_msgs/FilterState.
+
+    speed_cap_mps is infinite while no cap is in force and NaN while nothing is known of it.
+    """
 
     mode: Mode
     u_safe: np.ndarray
@@ -174,3 +177,4 @@ class FilterResult:
     solve_time_s: float = 0.0
     rows: int = 0
     scale: float = 1.0
+    speed_cap_mps: float = NAN

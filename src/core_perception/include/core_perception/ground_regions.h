@@ -34,15 +34,22 @@ struct GridFrame {
 ///     BETWEEN(c)  hull of each cluster of two or more, widened to the minimum thickness; a safe
 ///     BETWEEN(c) cancels it
 ///
-/// ON(c) makes none: it speaks of surfaces, which are votes. Source: DESIGN section 4, rows 2 to 4.
+/// ON(c) makes none: it speaks of surfaces, which are votes. Objects that a predicate spares make
+/// none of its regions. Source: DESIGN section 4, rows 2 to 4 and 12.
 /// Differs from [CORE]: metres on the ground instead of pixels, over remembered objects instead of
 /// those in the image.
 std::vector<Region> buildRegions(const std::vector<HeldInstance>& instances,
                                  const std::vector<Predicate>& predicates,
                                  const InstanceParams& params, double resolution_m);
 
-/// Whether some unsafe predicate speaks of this class.
-bool isUnsafeClass(const std::string& class_name, const std::vector<Predicate>& predicates);
+/// Whether the predicate's exempt_instances spare an object of its class: NEAR and AROUND spare
+/// those listed, BETWEEN those of a cluster whose members are all listed, ON none.
+bool isSpared(const HeldInstance& held, const Predicate& predicate,
+              const std::vector<HeldInstance>& instances);
+
+/// Whether some unsafe predicate speaks of the class of an object and does not spare it.
+bool isUnsafeInstance(const HeldInstance& held, const std::vector<Predicate>& predicates,
+                      const std::vector<HeldInstance>& instances);
 
 /// Calls visit(index) for each cell whose square reaches into the region: the union of the visited
 /// squares covers it. A cell is visited once for each part it touches.

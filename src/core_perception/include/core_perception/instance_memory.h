@@ -12,7 +12,7 @@ namespace core_perception {
 
 /// An object held in memory.
 struct HeldInstance {
-  uint32_t id = 0;  ///< > 0, never given twice until clear()
+  uint32_t id = 0;  ///< > 0, never given twice by one memory, clear() or not
   std::string class_name;
   Polygon footprint;
   std::vector<CellIndex> cells;  ///< map cells it touched, sorted
@@ -48,6 +48,8 @@ enum class PlaceView {
 /// beyond its largest
 ///   single view: when it would grow more the object has moved, or the pose has drifted, and the
 ///   newest view replaces it.
+/// - Where two held objects turn out to be one, it gets a number of its own: what was said of one
+/// of them (an exemption of a predicate) was not said of the other.
 /// - An object is held while out of view or hidden, without limit of time, and forgotten only after
 /// release_frames
 ///   consecutive looks at its place found it empty; a look that says nothing changes nothing. A
@@ -65,8 +67,9 @@ class InstanceMemory {
 
   void update(double stamp_s, const std::vector<Detection>& detections, const Probe& probe);
   const std::vector<HeldInstance>& instances() const { return instances_; }
-  /// Drops the objects of a class that turned out to be a surface.
-  void forgetClass(const std::string& class_name);
+  /// Puts aside the objects of the classes that are surfaces now, and takes back those whose class
+  /// no longer is. An object put aside is not among instances(), but still released as any other.
+  void hideClasses(const std::function<bool(const std::string&)>& is_surface);
   void clear();
 
  private:
@@ -75,10 +78,10 @@ class InstanceMemory {
   HeldInstance create(double stamp_s, const Detection& detection);
   void absorb(double stamp_s, const Detection& detection, HeldInstance* held) const;
   void mergeOverlapping();
-  void releaseEmpty(const Probe& probe);
+  void releaseEmpty(const Probe& probe, std::vector<HeldInstance>* instances) const;
 
   InstanceParams params_;
-  std::vector<HeldInstance> instances_;
+  std::vector<HeldInstance> instances_, hidden_;
   uint32_t last_id_ = 0;
 };
 

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <cstdint>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -17,7 +19,8 @@ struct Predicate {
   std::string class_name;
   Verdict verdict = Verdict::kUnsafe;
   Severity severity = Severity::kStop;
-  double radius_m = 0.0;  ///< of AROUND; 0 means the default of the class
+  double radius_m = 0.0;                ///< of AROUND; 0 means the default of the class
+  std::set<uint32_t> exempt_instances;  ///< numbers of held objects it does not speak of
 
   bool isUnsafe() const { return verdict == Verdict::kUnsafe; }
   bool isBarrier() const { return isUnsafe() && severity == Severity::kStop; }
@@ -26,6 +29,9 @@ struct Predicate {
 /// What a reasoner said, and when it looked.
 struct Constraints {
   double image_stamp_s = 0.0;  ///< 0 while no answer exists yet
+  /// History of the map that exempt_instances count by, see SemanticMap::history_start_s; 0
+  /// without.
+  double instances_history_start_s = 0.0;
   std::vector<Predicate> predicates;
 
   bool isActive() const { return image_stamp_s > 0.0; }

@@ -28,18 +28,27 @@ class SemanticMap {
   explicit SemanticMap(const SemanticMapParams& params);
 
   /// Adds a frame under the constraints in force at its stamp. While no constraints are in force
-  /// objects are tracked but nothing is voted, and no region is made.
+  /// objects are tracked but nothing is voted, and no region is made. Exemptions are heeded only
+  /// when they count by the numbers of this history, and only by ground operators: those on pixels
+  /// know no objects.
   /// @throws FrameError the frame cannot be used; nothing has changed then.
   const SafetyGrid& update(const Frame& frame, const Constraints& constraints);
 
   const SafetyGrid& grid() const { return composer_.grid(); }
+  /// Objects held; those of a class that only ON speaks of are left out while it does.
   const std::vector<HeldInstance>& instances() const { return memory_.instances(); }
+  /// In force for the newest frame, with the exemptions that were heeded.
+  const std::vector<Predicate>& predicates() const { return predicates_; }
+  /// Stamp of the first frame since the map was empty [s]; 0 before it.
+  double history_start_s() const { return history_start_s_; }
   VoteMap& votes() { return votes_; }
   const SemanticMapParams& params() const { return params_; }
-  /// Forgets everything, the first position of the robot included.
+  /// Forgets everything, the first position of the robot included. Numbers of objects are not given
+  /// again.
   void clear();
 
  private:
+  std::vector<Predicate> findInForce(const Constraints& constraints) const;
   void collect(const Frame& frame, const Projection& projection, const ImageSets& sets, bool vote);
   void collectInstancePoint(const PixelPoint& point, float height_m, int16_t slot,
                             const Projection& projection);
@@ -56,7 +65,8 @@ class SemanticMap {
   InstanceMemory memory_;
   GridComposer composer_;
   InitialDisc disc_;
-  bool has_disc_ = false;
+  double history_start_s_ = 0.0;
+  std::vector<Predicate> predicates_;
   cv::Mat metres_;
   // Of the frame being added.
   float camera_height_m_ = 0.0f;

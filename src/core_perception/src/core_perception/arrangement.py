@@ -4,16 +4,17 @@
 Positions are (n, 2) on the ground plane [m]; pixels would distort the spacing. A cluster (single link) is classified as
 
     LINE    on one straight line, evenly spaced; of six, one may be off it blocks
-    ARC     on a chain that turns to one side only, evenly spaced          blocks
+    ARC     four on a chain that turns to one side only, evenly spaced     blocks
     RING    on a closed outline, evenly spaced                             blocks
     CORNER  on two straight rows that share an end                         blocks
-    LANE    two parallel rows wide enough to pass between: a portal        does not
+    LANE    two parallel rows wide enough to pass between, nothing between
+            their ends: a portal, also where a gap in a row is as wide     does not
     SCATTER anything else                                                  does not
     FEW     fewer than three objects                                       does not
 
 Evenly spaced means a coefficient of variation of the gaps below a limit. Source: [CORE] prompt, grouped-barrier rule
-("a line, curve, or perimeter" blocks; scattered objects or an intended portal do not). The geometry is ours;
-``test/arrangement_test.py`` measures its rates.
+("a line, curve, or perimeter" blocks; scattered objects or an intended portal do not). The geometry is ours; its rates:
+``test/arrangement_test.py``.
 """
 
 from __future__ import annotations
@@ -43,26 +44,26 @@ class Arrangement(enum.Enum):
 
 LINK_M = 2.5
 DUPLICATE_M = 0.30  # nearer than this, two held instances are one object seen twice (a cone's base is 0.36 m wide)
-MAX_GAP_CV = 0.45
-LINE_RESIDUAL_M = 0.25  # largest distance from the fitted line ...
-LINE_RESIDUAL_SHARE = 0.06  # ... and as a share of the line's length, whichever is smaller
-THREE_RESIDUAL_SHARE = 0.03  # three points are collinear by chance far more often
-THREE_MAX_GAP_CV = 0.20
-ROW_RESIDUAL_SHARE = 0.08  # a row of a lane or corner, whose other row speaks for it
-# Number of points (the last for more) -> largest variation of the gaps, backward turn [deg], distance from the circle
-# over the gap.
-ARC_LIMITS = {4: (0.20, 5.0, 0.05), 5: (0.25, 12.0, 0.12), 6: (0.35, 22.0, 0.15)}
-# The same for a ring -> largest variation of the gaps, backward turn [deg], forward turn [deg].
+# Few points stand in a shape by chance far more often than many. Number of points (the last for more) -> limits; those
+# in metres are two to three times the position error of a map (0.06 m).
+# For a line -> largest distance from it [m], the same as a share of its length, variation of the gaps.
+LINE_LIMITS = {3: (0.085, 0.042, 0.17), 4: (0.145, 0.06, 0.36), 5: (0.18, 0.06, 0.40), 6: (0.22, 0.06, 0.45)}
+ROW_LIMITS = (0.25, 0.08, 0.45)  # the same for a row of a lane, whose other row speaks for it
+# For an arc -> largest variation of the gaps, their deviation [m], backward turn [deg], distance from the circle over
+# the gap, the same [m].
+ARC_LIMITS = {4: (0.20, 0.14, 5.0, 0.12, 0.09), 5: (0.25, 0.25, 12.0, 0.12, 0.12), 6: (0.35, 0.35, 22.0, 0.15, 0.20)}
+# For a ring -> largest variation of the gaps, their deviation [m], backward turn [deg], forward turn [deg].
 RING_LIMITS = {
-    4: (0.12, 8.0, 105.0),
-    5: (0.17, 8.0, 105.0),
-    6: (0.20, 15.0, 115.0),
-    7: (0.25, 22.0, 120.0),
-    8: (0.30, 32.0, 130.0),
+    4: (0.12, 0.15, 8.0, 105.0),
+    5: (0.17, 0.20, 8.0, 105.0),
+    6: (0.20, 0.20, 15.0, 115.0),
+    7: (0.25, 0.20, 22.0, 120.0),
+    8: (0.30, 0.20, 32.0, 130.0),
 }
-MIN_LANE_WIDTH_M = 1.0
-MIN_LANE_ASPECT = 1.2  # row distance over the gap in a row; below it the rows are sides of one outline
-MIN_LANE_LENGTH_ASPECT = 1.0  # row length over row distance; below it the rows are ends of one outline
+# For a corner -> largest distance from the fitted line of a row [m], variation of the gaps of both rows.
+CORNER_LIMITS = {5: (0.12, 0.20), 6: (0.15, 0.25), 7: (0.20, 0.35)}
+MIN_LANE_WIDTH_M = 0.9
+MIN_LANE_ASPECT = 0.5  # row distance over the gap in a row
 
 
 def cluster(positions_m: np.ndarray, link_m: float = LINK_M) -> List[np.ndarray]:
@@ -102,7 +103,7 @@ def classify(positions_m: np.ndarray) -> Arrangement:
     if is_line(points):
         return Arrangement.LINE
     if len(points) == 3:
-        return Arrangement.ARC if _is_arc_of_three(points) else Arrangement.SCATTER
+        return Arrangement.SCATTER
     if _is_lane(points):
         return Arrangement.LANE
     for shape, test in ((Arrangement.CORNER, _is_corner), (Arrangement.RING, _is_ring), (Arrangement.ARC, _is_arc)):
@@ -113,18 +114,19 @@ def classify(positions_m: np.ndarray) -> Arrangement:
 
 def is_line(points: np.ndarray) -> bool:
     """Whether points (n >= 3, 2) [m] stand on a straight line with even gaps; three must do so more exactly."""
-    if len(points) == 3:
-        return _is_straight(points, THREE_RESIDUAL_SHARE, THREE_MAX_GAP_CV)
-    return _is_straight(points, LINE_RESIDUAL_SHARE, MAX_GAP_CV)
+    return _is_straight(points, *_limits(LINE_LIMITS, len(points)))
 
 
-def _is_straight(points, residual_share, max_cv):
-    """PCA: largest distance from the axis against the length, variation of the gaps along it."""
+def _limits(limits, count):
+    return limits[min(count, max(limits))]
+
+
+def _is_straight(points, residual_m, residual_share, max_cv):
+    """PCA: largest distance from the axis, the same against the length, variation of the gaps along it."""
     along, across = _principal_coordinates(points)
     length_m = along.max() - along.min()
     return bool(
-        np.abs(across).max() <= min(LINE_RESIDUAL_M, residual_share * length_m)
-        and _cv(np.diff(np.sort(along))) <= max_cv
+        np.abs(across).max() <= min(residual_m, residual_share * length_m) and _cv(np.diff(np.sort(along))) <= max_cv
     )
 
 
@@ -134,7 +136,7 @@ def _is_line_but_one(points):
 
 
 def _is_row(points):
-    return len(points) == 2 or _is_straight(points, ROW_RESIDUAL_SHARE, MAX_GAP_CV)
+    return len(points) == 2 or _is_straight(points, *ROW_LIMITS)
 
 
 def _checked(positions_m):
@@ -196,35 +198,29 @@ def _gaps(path):
     return np.linalg.norm(np.diff(path, axis=0), axis=1)
 
 
-def _is_arc_of_three(points):
-    path = _chain(points)
-    turn = abs(float(_turns_rad(path, closed=False)[0]))
-    return _cv(_gaps(path)) <= 0.08 and turn <= np.deg2rad(30.0)
-
-
 def _is_arc(points):
     """A chain near a circle that turns to one side, less than 75 degrees a step, evenly spaced; see ARC_LIMITS."""
     path = _chain(points)
     if path is None:
         return False
-    max_cv, slack_deg, max_residual = ARC_LIMITS[min(len(path), 6)]
+    max_cv, max_std_m, slack_deg, max_residual, max_residual_m = _limits(ARC_LIMITS, len(path))
+    gaps = _gaps(path)
+    even = _cv(gaps) <= max_cv and np.std(gaps) <= max_std_m
     turns = _turns_rad(path, closed=False)
     turns = turns * np.sign(turns.sum())
     one_sided = (
         turns.min() > -np.deg2rad(slack_deg) and turns.max() < np.deg2rad(75.0) and turns.sum() > np.deg2rad(15.0)
     )
-    return bool(one_sided and _cv(_gaps(path)) <= max_cv and _circle_residual_share(path) < max_residual)
+    return bool(even and one_sided and _circle_residual_m(path) < min(max_residual_m, max_residual * gaps.mean()))
 
 
-def _circle_residual_share(points):
-    """Largest distance from the circle x^2 + y^2 = a x + b y + c, fitted by linear least squares, over the mean gap."""
+def _circle_residual_m(points):
+    """Largest distance from the circle x^2 + y^2 = a x + b y + c, fitted by linear least squares [m]."""
     centred = points - points.mean(axis=0)
     rows = np.column_stack([centred, np.ones(len(points))])
     a, b, c = np.linalg.lstsq(rows, (centred**2).sum(axis=1), rcond=None)[0]
     radius = np.sqrt(max(c + (a * a + b * b) / 4.0, 0.0))
-    return float(
-        np.abs(np.linalg.norm(centred - [a / 2.0, b / 2.0], axis=1) - radius).max() / max(_gaps(points).mean(), 1e-9)
-    )
+    return float(np.abs(np.linalg.norm(centred - [a / 2.0, b / 2.0], axis=1) - radius).max())
 
 
 def _is_ring(points):
@@ -233,27 +229,33 @@ def _is_ring(points):
     path = points[np.argsort(np.arctan2(centred[:, 1], centred[:, 0]))]
     gaps = _gaps(np.vstack([path, path[:1]]))
     turns = _turns_rad(path, closed=True)
-    max_cv, slack_deg, max_turn_deg = RING_LIMITS[min(len(points), 8)]
+    max_cv, max_std_m, slack_deg, max_turn_deg = _limits(RING_LIMITS, len(points))
     around = abs(turns.sum() - 2.0 * np.pi) < 1e-6
     in_range = turns.min() > -np.deg2rad(slack_deg) and turns.max() < np.deg2rad(max_turn_deg)
-    return bool(around and in_range and _cv(gaps) <= max_cv)
+    return bool(around and in_range and _cv(gaps) <= max_cv and np.std(gaps) <= max_std_m)
 
 
 def _is_corner(points):
     """Two straight, evenly spaced rows of three or more that share an end and meet at 50 to 130 degrees."""
     path = _chain(points)
-    if path is None or len(path) < 5 or _cv(_gaps(path)) > MAX_GAP_CV:
+    if path is None or len(path) < 5:
+        return False
+    residual_m, max_cv = _limits(CORNER_LIMITS, len(path))
+    if _cv(_gaps(path)) > max_cv:
         return False
     for k in range(2, len(path) - 2):
         first, second = path[0] - path[k], path[-1] - path[k]
         cosine = float(first @ second / max(np.linalg.norm(first) * np.linalg.norm(second), 1e-9))
-        if abs(cosine) < np.cos(np.deg2rad(50.0)) and _is_row(path[: k + 1]) and _is_row(path[k:]):
+        rows = (path[: k + 1], path[k:])
+        if abs(cosine) < np.cos(np.deg2rad(50.0)) and all(
+            _is_straight(row, residual_m, ROW_LIMITS[1], max_cv) for row in rows
+        ):
             return True
     return False
 
 
 def _is_lane(points):
-    """Two parallel rows, far apart against the gaps in a row and long against their distance; at least five objects."""
+    """Two parallel rows, wide enough apart and beside each other for most of their length; at least five objects."""
     return any(_rows_are_lane(*rows) for rows in _row_splits(points))
 
 
@@ -284,7 +286,7 @@ def _rows_are_lane(first, second):
     length_m = max(span[-1] - span[0] for span in spans)
     overlap_m = min(span[-1] for span in spans) - max(span[0] for span in spans)
     wide = width_m >= max(MIN_LANE_WIDTH_M, MIN_LANE_ASPECT * gap_m)
-    return bool(wide and length_m >= MIN_LANE_LENGTH_ASPECT * width_m and overlap_m >= 0.4 * length_m)
+    return bool(wide and overlap_m >= 0.4 * length_m)
 
 
 def _row_direction(row) -> Tuple[float, float]:

@@ -31,3 +31,40 @@ class OntologyError(PerceptionError, ValueError):
 
 class EvidenceError(PerceptionError, ValueError):
     """Images or messages of one frame do not fit each other."""
+
+
+class ReplyError(PerceptionError, ValueError):
+    """A model's reply is malformed; it is void as a whole.
+
+    Args:
+        cause: one word of reply_parser.VOID_CAUSES, to count by.
+        detail: what is wrong, in one line.
+    """
+
+    def __init__(self, cause: str, detail: str):
+        """Keep both."""
+        self.cause = cause
+        super().__init__(f"{cause}: {detail}")
+
+
+class ServerError(PerceptionError):
+    """A model server did not give a reply.
+
+    Args:
+        cause: one word of vlm_client.SERVER_CAUSES, to count by.
+        detail: what happened, in one line, without secrets.
+        latency_s: time until it was known [s].
+    """
+
+    def __init__(self, cause: str, detail: str, latency_s: float = 0.0):
+        """Keep the three."""
+        self.cause, self.latency_s = cause, latency_s
+        super().__init__(f"{cause}: {detail}")
+
+
+class EndpointError(PerceptionError, ValueError):
+    """A server address is malformed or not allowed."""
+
+
+class RuleError(PerceptionError, ValueError):
+    """An operator rule is malformed, or its file cannot be read or written."""

@@ -3,145 +3,115 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
-from dataclasses import dataclass, field
-from typing import Callable, Tuple
+from dataclasses import dataclass
+from typing import Tuple
 
-from core_perception.exceptions import ParameterError, PredicateError
-from core_perception.predicates import parse_predicate
+from core_perception.exceptions import ParameterError
+from core_perception.param_fields import choice, flag, number, read_parameters, sentences, statements, text, whole
 
-
-def _number(default: float, low: float = -math.inf, high: float = math.inf, above: bool = False):
-    """Field of a finite number in [low, high], or in (low, high] with ``above``; integers are taken as floats."""
-    allowed = f"a number {'>' if above else '>='} {low:g}" + (f" and <= {high:g}" if math.isfinite(high) else "")
-
-    def read(value):
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-            raise ValueError
-        if value > high or value < low or (above and value == low):
-            raise ValueError
-        return float(value)
-
-    return field(default=default, metadata={"read": read, "allowed": allowed})
-
-
-def _whole(default: int, low: int, high: int):
-    """Field of a whole number in [low, high]."""
-
-    def read(value):
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            raise ValueError
-        return value
-
-    return field(default=default, metadata={"read": read, "allowed": f"a whole number from {low} to {high}"})
-
-
-def _flag(default: bool):
-    """Field of true or false."""
-
-    def read(value):
-        if not isinstance(value, bool):
-            raise ValueError
-        return value
-
-    return field(default=default, metadata={"read": read, "allowed": "true or false"})
-
-
-def _choice(default: str, *options: str):
-    """Field of one of a few words."""
-
-    def read(value):
-        if value not in options:
-            raise ValueError
-        return value
-
-    return field(default=default, metadata={"read": read, "allowed": "one of " + ", ".join(options)})
-
-
-def _text(default: str, allowed: str):
-    """Field of a line of text."""
-
-    def read(value):
-        if not isinstance(value, str):
-            raise ValueError
-        return value
-
-    return field(default=default, metadata={"read": read, "allowed": allowed})
-
-
-def _statements():
-    """Field of a list of predicates in text form."""
-
-    def read(value):
-        if not isinstance(value, (list, tuple)):
-            raise ValueError
-        return tuple(str(parse_predicate(text)) for text in value)
-
-    return field(
-        default=(), metadata={"read": read, "allowed": "a list such as ['ON(floor)=safe', 'AROUND(forklift, 1.5)']"}
-    )
-
-
-def _from_dict(cls: Callable, values: dict):
-    """Build ``cls`` from a parameter dictionary; see the class for keys and Raises."""
-    fields = {f.name: f for f in dataclasses.fields(cls)}
-    if not isinstance(values, dict):
-        raise ParameterError("~", values, "a dictionary of parameters")
-    read = {}
-    for key in sorted(values):
-        if key not in fields:
-            raise ParameterError(key, values[key], "only " + ", ".join(sorted(fields)))
-        metadata = fields[key].metadata
-        try:
-            read[key] = metadata["read"](values[key])
-        except PredicateError as error:
-            raise ParameterError(key, values[key], f"{metadata['allowed']} ({error})") from error
-        except (ValueError, TypeError) as error:
-            raise ParameterError(key, values[key], metadata["allowed"]) from error
-    return cls(**read)
+REASONERS = ("ontology", "auto", "ollama", "openai", "static", "oracle", "emulated", "replay")
 
 
 @dataclass(frozen=True)
 class ReasonerParams:
-    """Parameters of safety_reasoner.
+    """Parameters of safety_reasoner; README.md has the same as a table.
 
     Attributes:
         reasoner: which one answers.
         lockstep: answer once per frame of a lock-step world instead of at rate_hz.
         rate_hz: rate of ``safety/constraints`` without lock-step [Hz].
+        slop_s: largest difference of the stamps of image, labels and instances without lock-step [s].
         latency_s: declared sim latency of the ontology reasoner under lock-step [s]; must not be below the camera's
             period.
         ontology_file: class list; empty means the package's own.
+        wordnet_dir: folder of WordNet's noun files; empty means that of Debian's wordnet-base.
         rules_file: rules of the static reasoner; empty means the package's own.
-        predicates: statements of the oracle reasoner.
-        memory: held instances count as seen and a found arrangement stays; false answers from the newest frame alone.
+        predicates: true rules, for the oracle and the emulated reasoner.
+        memory: what was seen stays in force (constraint memory, held instances, found arrangements); false answers from
+            the newest frame alone.
+        clear_after_replies: answers in a row that must leave a held hazard out before it is cleared.
         link_m: instances of one class nearer than this belong to one arrangement [m], where the map gives no cluster.
         frames_of_three: number of answers in a row that must see an arrangement of only three instances.
+        operator_rules_file: where the operator's rules are kept; ``auto`` is a file by node name under ROS_HOME, empty
+            keeps none.
+        guidelines: sentences for the language model, besides those of the service add_rule.
+        server_url: address of the model server; empty means the usual one on this machine.
+        model: its model; empty lets auto choose the first one that sees, and openai the one that is loaded.
+        allowed_hosts_file: list of other hosts that may be asked; empty means none.
+        allow_remote_images: images may leave this machine.
+        api_key_env: name of the environment variable that holds the key; empty means no key.
+        deadline_s: longest time of one request in all [s].
+        load_timeout_s: longest time for loading the model at the start [s].
+        max_tokens: longest reply.
+        context_tokens: context that Ollama is to load the model with.
+        keep_alive: how long Ollama keeps the model after a request, such as 30m; -1 for ever.
+        image_max_px: longest edge of the image that is sent.
+        prompt_file: parts of the prompt; empty means the package's own.
+        safety_logic: tell the model when each operator applies; false is the ablation "No Safety Logic".
+        chain_of_thought: ask for a justification first; false is the ablation "No CoT Reasoning".
+        confidence: none, samples (agreement of further answers) or logprobs.
+        confidence_samples: answers in all with samples.
+        record_dir: every reply is written here, for replay; empty means none.
+        record_images: write the images too.
+        replay_dir: recording that the replay reasoner answers from.
+        emulated_row: row of the tables of [CORE] that the emulated reasoner imitates.
+        emulated_correlation: errors drawn for each answer, or once for each scene.
+        seed: of the sampler, the emulated errors and the pauses after failures.
     """
 
-    reasoner: str = _choice("ontology", "ontology", "static", "oracle")
-    lockstep: bool = _flag(False)
-    rate_hz: float = _number(10.0, 0.1, 100.0)
-    latency_s: float = _number(0.1, 0.0, 60.0, above=True)
-    ontology_file: str = _text("", "the path of an ontology, or empty for the package's own")
-    rules_file: str = _text("", "the path of a rules file, or empty for the package's own")
-    predicates: Tuple[str, ...] = _statements()
-    memory: bool = _flag(True)
-    link_m: float = _number(2.5, 0.0, 20.0, above=True)
-    frames_of_three: int = _whole(3, 1, 100)
+    reasoner: str = choice("ontology", *REASONERS)
+    lockstep: bool = flag(False)
+    rate_hz: float = number(10.0, 0.1, 100.0)
+    slop_s: float = number(0.05, 0.0, 1.0)
+    latency_s: float = number(0.1, 0.0, 60.0, above=True)
+    ontology_file: str = text("", "the path of an ontology, or empty for the package's own")
+    wordnet_dir: str = text("", "the path of a folder with index.noun and data.noun, or empty for Debian's")
+    rules_file: str = text("", "the path of a rules file, or empty for the package's own")
+    predicates: Tuple[str, ...] = statements()
+    memory: bool = flag(True)
+    clear_after_replies: int = whole(3, 1, 100)
+    link_m: float = number(2.5, 0.0, 20.0, above=True)
+    frames_of_three: int = whole(3, 1, 100)
+    operator_rules_file: str = text("", "the path of a file, auto, or empty to keep none")
+    guidelines: Tuple[str, ...] = sentences()
+    server_url: str = text("", "an address such as http://127.0.0.1:11434, or empty for the usual one")
+    model: str = text("", "the name of a model, or empty")
+    allowed_hosts_file: str = text("", "the path of a list of hosts, or empty")
+    allow_remote_images: bool = flag(False)
+    api_key_env: str = text("", "the name of an environment variable, or empty")
+    deadline_s: float = number(30.0, 0.1, 600.0)
+    load_timeout_s: float = number(300.0, 1.0, 3600.0)
+    max_tokens: int = whole(700, 16, 8192)
+    context_tokens: int = whole(8192, 1024, 262144)
+    keep_alive: str = text("30m", "a duration such as 30m, or -1")
+    image_max_px: int = whole(896, 64, 4096)
+    prompt_file: str = text("", "the path of a prompt file, or empty for the package's own")
+    safety_logic: bool = flag(True)
+    chain_of_thought: bool = flag(True)
+    confidence: str = choice("none", "none", "samples", "logprobs")
+    confidence_samples: int = whole(3, 2, 20)
+    record_dir: str = text("", "the path of a folder, or empty")
+    record_images: bool = flag(False)
+    replay_dir: str = text("", "the path of a recording, or empty")
+    emulated_row: str = text("gemma3-27b", "a row of config/emulated.yaml")
+    emulated_correlation: str = choice("independent", "independent", "scene")
+    seed: int = whole(0, 0, 2**31 - 1)
 
     @classmethod
     def from_dict(cls, values: dict) -> ReasonerParams:
         """Read a parameter dictionary.
 
         Raises:
-            ParameterError: unknown key, wrong type, value out of range, or predicates that the chosen reasoner does not
-                use or lacks.
+            ParameterError: unknown key, wrong type, value out of range, or a value that the chosen reasoner lacks.
         """
-        params = _from_dict(cls, values)
-        if params.reasoner == "oracle" and not params.predicates:
-            raise ParameterError("predicates", list(params.predicates), "at least one statement with reasoner oracle")
+        params = read_parameters(cls, values)
+        if params.reasoner in ("oracle", "emulated") and not params.predicates:
+            allowed = f"at least one statement with reasoner {params.reasoner}"
+            raise ParameterError("predicates", list(params.predicates), allowed)
+        if params.reasoner == "replay" and not params.replay_dir:
+            raise ParameterError("replay_dir", params.replay_dir, "the path of a recording with reasoner replay")
+        if params.reasoner == "ollama" and not params.model:
+            raise ParameterError("model", params.model, "the name of a model with reasoner ollama, such as gemma3:27b")
         return params
 
 
@@ -159,13 +129,13 @@ class SegmenterParams:
         seed: seed of the three errors above and of the label numbers.
     """
 
-    segmenter: str = _choice("simulated", "simulated")
-    lockstep: bool = _flag(False)
-    ontology_file: str = _text("", "the path of an ontology, or empty for the package's own")
-    miss_rate: float = _number(0.0, 0.0, 1.0)
-    pixel_drop_rate: float = _number(0.0, 0.0, 1.0)
-    erode_px: int = _whole(0, 0, 50)
-    seed: int = _whole(0, 0, 2**31 - 1)
+    segmenter: str = choice("simulated", "simulated")
+    lockstep: bool = flag(False)
+    ontology_file: str = text("", "the path of an ontology, or empty for the package's own")
+    miss_rate: float = number(0.0, 0.0, 1.0)
+    pixel_drop_rate: float = number(0.0, 0.0, 1.0)
+    erode_px: int = whole(0, 0, 50)
+    seed: int = whole(0, 0, 2**31 - 1)
 
     @classmethod
     def from_dict(cls, values: dict) -> SegmenterParams:
@@ -174,7 +144,7 @@ class SegmenterParams:
         Raises:
             ParameterError: unknown key, wrong type or value out of range.
         """
-        return _from_dict(cls, values)
+        return read_parameters(cls, values)
 
 
 @dataclass(frozen=True)
@@ -190,12 +160,12 @@ class OverlayParams:
         tf_timeout_s: longest wait for the camera's pose [s].
     """
 
-    rate_hz: float = _number(5.0, 0.1, 100.0)
-    scale: int = _whole(2, 1, 4)
-    opacity: float = _number(0.45, 0.0, 1.0)
-    obstacle_height_m: float = _number(0.10, 0.0, 5.0)
-    max_range_m: float = _number(7.0, 0.1, 100.0)
-    tf_timeout_s: float = _number(0.2, 0.0, 10.0)
+    rate_hz: float = number(5.0, 0.1, 100.0)
+    scale: int = whole(2, 1, 4)
+    opacity: float = number(0.45, 0.0, 1.0)
+    obstacle_height_m: float = number(0.10, 0.0, 5.0)
+    max_range_m: float = number(7.0, 0.1, 100.0)
+    tf_timeout_s: float = number(0.2, 0.0, 10.0)
 
     @classmethod
     def from_dict(cls, values: dict) -> OverlayParams:
@@ -204,4 +174,4 @@ class OverlayParams:
         Raises:
             ParameterError: unknown key, wrong type or value out of range.
         """
-        return _from_dict(cls, values)
+        return read_parameters(cls, values)

@@ -23,7 +23,7 @@ import math
 import re
 import unicodedata
 from dataclasses import dataclass, field
-from typing import Iterable, Optional, Tuple
+from typing import Iterable, Mapping, Optional, Tuple
 
 from core_perception.exceptions import PredicateError
 
@@ -227,6 +227,8 @@ class Constraints:
         image_stamp_ns: stamp of the evidence [ns]; None while no answer exists.
         latency_ns: time from image to answer [ns].
         confidence: 0..1, NaN where the reasoner gives none.
+        exempt: predicate -> numbers of held instances it does not speak of (core_msgs/Predicate.exempt_instances).
+        instances_history_start_ns: history of the map that these numbers count by [ns]; None without exemptions.
 
     Raises:
         PredicateError: one region is called safe and unsafe at once.
@@ -239,6 +241,8 @@ class Constraints:
     image_stamp_ns: Optional[int] = None
     latency_ns: int = 0
     confidence: float = field(default=math.nan, compare=False)
+    exempt: Mapping[Predicate, Tuple[int, ...]] = field(default_factory=dict)
+    instances_history_start_ns: Optional[int] = None
 
     def __post_init__(self):
         """Refuse contradictions."""

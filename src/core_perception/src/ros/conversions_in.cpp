@@ -68,7 +68,24 @@ Predicate predicateFromMessage(const core_msgs::Predicate& message) {
   predicate.verdict = static_cast<Verdict>(message.verdict);
   predicate.severity = static_cast<Severity>(message.severity);
   predicate.radius_m = message.radius_m;
+  predicate.exempt_instances.insert(message.exempt_instances.begin(),
+                                    message.exempt_instances.end());
   return predicate;
+}
+
+/// Numbers of objects mean something only together with the history they count by.
+void checkExemptions(const core_msgs::SafetyConstraints& message) {
+  for (const core_msgs::Predicate& predicate : message.predicates) {
+    const auto& numbers = predicate.exempt_instances;
+    if (numbers.empty()) continue;
+    if (message.instances_history_start.isZero())
+      throw FrameError("constraints_invalid", "predicate on " + predicate.class_name +
+                                                  " exempts instances, but "
+                                                  "instances_history_start is 0");
+    if (std::count(numbers.begin(), numbers.end(), 0u) > 0)
+      throw FrameError("constraints_invalid", "predicate on " + predicate.class_name +
+                                                  " exempts instance 0; allowed numbers > 0");
+  }
 }
 
 }  // namespace
@@ -131,7 +148,9 @@ Frame frameFromMessages(const FrameMessages& messages, bool ignore_distortion) {
 Constraints constraintsFromMessage(const core_msgs::SafetyConstraintsConstPtr& message) {
   Constraints constraints;
   if (message == nullptr) return constraints;
+  checkExemptions(*message);
   constraints.image_stamp_s = message->image_stamp.toSec();
+  constraints.instances_history_start_s = message->instances_history_start.toSec();
   for (const core_msgs::Predicate& predicate : message->predicates) {
     constraints.predicates.push_back(predicateFromMessage(predicate));
   }

@@ -30,8 +30,7 @@ core_msgs::UnsafeCause causeToMessage(const Cause& cause) {
   return message;
 }
 
-core_msgs::Instance instanceToMessage(const HeldInstance& held,
-                                      const std::vector<Predicate>& predicates) {
+core_msgs::Instance instanceToMessage(const HeldInstance& held, bool is_unsafe) {
   core_msgs::Instance message;
   message.id = held.id;
   message.class_name = held.class_name;
@@ -47,8 +46,7 @@ core_msgs::Instance instanceToMessage(const HeldInstance& held,
   message.in_view = held.in_view;
   message.last_seen.fromSec(held.last_seen_s);
   message.frames_seen = held.frames_seen;
-  message.verdict = isUnsafeClass(held.class_name, predicates) ? core_msgs::Instance::UNSAFE
-                                                               : core_msgs::Instance::SAFE;
+  message.verdict = is_unsafe ? core_msgs::Instance::UNSAFE : core_msgs::Instance::SAFE;
   return message;
 }
 
@@ -81,8 +79,10 @@ core_msgs::InstanceArray instancesToMessage(const std::vector<HeldInstance>& ins
                                             const std_msgs::Header& header) {
   core_msgs::InstanceArray message;
   message.header = header;
-  for (const HeldInstance& held : instances)
-    message.instances.push_back(instanceToMessage(held, predicates));
+  for (const HeldInstance& held : instances) {
+    message.instances.push_back(
+        instanceToMessage(held, isUnsafeInstance(held, predicates, instances)));
+  }
   return message;
 }
 

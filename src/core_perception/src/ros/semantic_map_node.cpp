@@ -157,7 +157,7 @@ bool SemanticMapNode::process(const FrameMessages& messages) {
     map_.update(frame, constraints);
     std_msgs::Header header = mapHeader();
     header.stamp = messages.depth->header.stamp;
-    publish(header, constraints,
+    publish(header,
             messages.constraints == nullptr ? ros::Time() : messages.constraints->image_stamp);
     ++n_frames_;
   } catch (const FrameError& error) {
@@ -182,14 +182,16 @@ bool SemanticMapNode::lookUpPose(const std_msgs::Header& header, Frame* frame) {
   }
 }
 
-void SemanticMapNode::publish(const std_msgs::Header& header, const Constraints& constraints,
-                              const ros::Time& constraints_stamp) {
+void SemanticMapNode::publish(const std_msgs::Header& header, const ros::Time& constraints_stamp) {
   const SafetyGrid& grid = map_.grid();
   if (history_start_.isZero()) history_start_ = header.stamp;
   core_msgs::SafetyGrid message = safetyGridToMessage(grid, header, constraints_stamp);
   message.history_start = history_start_;
   grid_pub_.publish(message);
-  instances_pub_.publish(instancesToMessage(map_.instances(), constraints.predicates, header));
+  core_msgs::InstanceArray instances =
+      instancesToMessage(map_.instances(), map_.predicates(), header);
+  instances.history_start = history_start_;
+  instances_pub_.publish(instances);
   const bool latch = params_.lockstep;
   if (latch || probability_pub_.getNumSubscribers() > 0)
     probability_pub_.publish(probabilityToMessage(grid, header));

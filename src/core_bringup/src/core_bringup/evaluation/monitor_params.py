@@ -7,8 +7,9 @@ import math
 from dataclasses import dataclass, fields
 from typing import Any
 
-from core_bringup.evaluation.preflight import BACKENDS, METHODS, PROFILES, REASONERS
+from core_bringup.evaluation.preflight import BACKENDS, METHODS, PROFILES
 from core_bringup.exceptions import ConfigError
+from core_perception.params import REASONERS
 
 CHOICES = {"method": METHODS, "profile": PROFILES, "backend": BACKENDS, "reasoner": REASONERS}
 

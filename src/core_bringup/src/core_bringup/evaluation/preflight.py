@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Callable, Dict, Optional, Sequence
+from typing import Callable, Dict, Optional, Sequence, Union
 
 import rospkg
 
@@ -17,12 +17,11 @@ from core_bringup.robot import RobotConfig
 from core_bringup.world import load_world
 from core_bringup.yaml_source import YamlSource
 from core_control.params import FilterParams, WaypointParams
-from core_perception.params import ReasonerParams, SegmenterParams
+from core_perception.params import REASONERS, ReasonerParams, SegmenterParams
 
 SOURCE = "demo"
 METHODS = ("core", "none")
 PROFILES = ("core", "paper")
-REASONERS = ("ontology", "static", "oracle")
 RENDERERS = ("tiny", "egl")
 MAX_SEED = 2**31 - 1
 DEFAULT_RESULTS = "results/demo"
@@ -54,6 +53,12 @@ class DemoRequest:
     view: bool = False
     results: str = DEFAULT_RESULTS
     reasoner: str = "ontology"
+    model: str = ""
+    server_url: str = ""
+    emulated_row: str = "gemma3-27b"
+    record_dir: str = ""
+    replay_dir: str = ""
+    reasoner_params: str = ""
 
     def launch_arguments(self) -> Sequence[str]:
         """Every argument as roslaunch takes it, results as an absolute path."""
@@ -62,6 +67,9 @@ class DemoRequest:
         if self.rtf is None:
             values["rtf"] = 0.0 if self.lockstep and not (self.gui or self.view) else 1.0
         values["robot"] = str(find_robot_file(self.robot).resolve())
+        for name in PATH_ARGUMENTS:
+            if values[name]:
+                values[name] = str(Path(values[name]).resolve())
         if Path(self.world).suffix:
             values["world"] = str(Path(self.world).resolve())
         return [f"{name}:={str(value).lower() if isinstance(value, bool) else value}" for name, value in values.items()]
@@ -71,6 +79,8 @@ class DemoRequest:
         return replace(self, seed=seed, results=str(results))
 
 
+REASONER_ARGUMENTS = ("reasoner", "model", "server_url", "emulated_row", "record_dir", "replay_dir", "seed")
+PATH_ARGUMENTS = ("record_dir", "replay_dir", "reasoner_params")
 ARGUMENT_NAMES = tuple(DemoRequest.__dataclass_fields__)
 
 
@@ -156,8 +166,22 @@ def check_request(request: DemoRequest) -> float:
     BridgeParams.from_dict(bridge, SOURCE)
     RobotConfig.load(find_robot_file(request.robot))
     check_profile(request.profile)
+    check_reasoner(request, world.task(request.task).oracle_predicates)
     _make_results_folder(Path(request.results))
     return time_limit_s
+
+
+def check_reasoner(request: DemoRequest, predicates: Sequence[str]) -> None:
+    """Put together the parameters that the launch file gives safety_reasoner, and read them as the node does.
+
+    Raises:
+        ConfigError: a file of parameters that cannot be read, or a key or value the node would refuse.
+    """
+    path = Path(request.reasoner_params) if request.reasoner_params else None
+    values = {name: getattr(request, name) for name in REASONER_ARGUMENTS if getattr(request, name)}
+    values["predicates"] = list(predicates)
+    values.update(YamlSource(path).data if path else {})  # as in the launch file, the file has the last word
+    _check_node(path or SOURCE, "safety_reasoner", ReasonerParams.from_dict, values)
 
 
 def find_robot_file(name_or_path: str) -> Path:
@@ -188,7 +212,7 @@ def check_profile(profile: str) -> None:
             _check_node(path, node, reader, nodes.get(node, {}))
 
 
-def _check_node(path: Path, node: str, reader: Callable, values: object) -> None:
+def _check_node(path: Union[Path, str], node: str, reader: Callable, values: object) -> None:
     try:
         reader(values)
     except ValueError as error:

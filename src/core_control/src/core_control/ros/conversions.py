@@ -114,5 +114,6 @@ def state_to_msg(result: FilterResult, inputs: FilterInputs, stamp, tick: int) -
         message.binding_point.x, message.binding_point.y = result.binding.point_m
     message.nominal_age_s, message.odometry_age_s = inputs.nominal_age_s, inputs.odometry_age_s
     message.grid_age_s, message.constraints_age_s = inputs.grid_age_s, inputs.constraints_age_s
+    message.speed_cap_mps = float(result.speed_cap_mps)
     message.solve_time_s, message.rows = result.solve_time_s, result.rows
     return message

@@ -24,6 +24,7 @@ def make_diagnostics(result: FilterResult, name: str, ticks: int, stamp) -> Diag
         "detail": result.detail,
         "ticks": ticks,
         "h_m": f"{result.h_m:.3f}",
+        "speed_cap_mps": f"{result.speed_cap_mps:.3f}",
         "rows": result.rows,
         "solve_time_s": f"{result.solve_time_s:.6f}",
     }

@@ -41,12 +41,13 @@ Camera cameraFromMessage(const sensor_msgs::CameraInfo& info, int width_px, int 
                          bool ignore_distortion);
 
 /// No constraints (null) are constraints not in force.
-/// @throws FrameError constraints_invalid: unknown operator, verdict or severity, or a radius that
-/// is no radius.
+/// @throws FrameError constraints_invalid: unknown operator, verdict or severity, a radius that is
+/// no radius, or exempt instances that have no number or no history to count by.
 Constraints constraintsFromMessage(const core_msgs::SafetyConstraintsConstPtr& message);
 
 core_msgs::SafetyGrid safetyGridToMessage(const SafetyGrid& grid, const std_msgs::Header& header,
                                           const ros::Time& constraints_stamp);
+/// @param predicates in force, see SemanticMap::predicates.
 core_msgs::InstanceArray instancesToMessage(const std::vector<HeldInstance>& instances,
                                             const std::vector<Predicate>& predicates,
                                             const std_msgs::Header& header);

@@ -35,8 +35,7 @@ class SemanticMapNode {
   /// @returns false while the pose is not known yet.
   bool process(const FrameMessages& messages);
   bool lookUpPose(const std_msgs::Header& header, Frame* frame);
-  void publish(const std_msgs::Header& header, const Constraints& constraints,
-               const ros::Time& constraints_stamp);
+  void publish(const std_msgs::Header& header, const ros::Time& constraints_stamp);
   void publishOctomaps(const ros::WallTimerEvent& event);
   void publishDiagnostics(const ros::WallTimerEvent& event);
   void reject(const std::string& reason, const std::string& detail);

@@ -34,7 +34,7 @@ class ArrangementMemory:
 
     def update(
         self, ids: Sequence[int], positions_m: np.ndarray, clusters: Sequence[int]
-    ) -> Tuple[Tuple[Arrangement, int], ...]:
+    ) -> Tuple[Tuple[Arrangement, FrozenSet[int]], ...]:
         """Take in the instances held now and return what is in force.
 
         A blocking shape comes into force when it is seen; with three members only after frames_of_three updates in a
@@ -48,8 +48,8 @@ class ArrangementMemory:
                 link.
 
         Returns:
-            Per arrangement in force its shape when it was last recognised and the number of its members held, ordered
-            by member number.
+            Per arrangement in force its shape when it was last recognised and its members that are held, ordered by
+            member number.
         """
         held = frozenset(ids)
         self._in_force = {m: shape for m, shape in self._in_force.items() if len(m & held) >= 2}
@@ -64,7 +64,7 @@ class ArrangementMemory:
                 self._in_force[members] = shape
         self._of_three = Counter({m: n for m, n in self._of_three.items() if m in seen_threes})
         ordered = sorted(self._in_force.items(), key=lambda item: min(item[0]))
-        return tuple((shape, len(members & held)) for members, shape in ordered)
+        return tuple((shape, members & held) for members, shape in ordered)
 
     def _groups(self, positions_m, clusters) -> List[np.ndarray]:
         if len(clusters) and min(clusters) > 0:

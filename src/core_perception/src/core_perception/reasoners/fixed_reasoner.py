@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Iterable
 
@@ -10,7 +11,7 @@ import yaml
 
 from core_perception.exceptions import PerceptionError, PredicateError
 from core_perception.predicates import Constraints, Predicate, apply_precedence, parse_predicate
-from core_perception.reasoners.base import Evidence, Reasoner
+from core_perception.reasoners.base import Answer, Evidence, Reasoner
 
 
 class FixedReasoner(Reasoner):
@@ -39,10 +40,9 @@ class FixedReasoner(Reasoner):
         classes = tuple(dict.fromkeys(p.class_name for p in kept))
         self._constraints = Constraints(kept, classes, justification, source)
 
-    def reason(self, evidence: Evidence) -> Constraints:
+    def reason(self, evidence: Evidence) -> Answer:
         """Return the rules, stamped with the frame."""
-        known = self._constraints
-        return Constraints(known.predicates, known.classes, known.justification, known.source, evidence.stamp_ns)
+        return Answer(replace(self._constraints, image_stamp_ns=evidence.stamp_ns))
 
 
 def load_rules(path) -> FixedReasoner:

@@ -23,12 +23,17 @@ CATEGORY_WORDS = (
 )
 
 
-def justify(classes: Sequence[OntologyClass], shapes: Dict[str, Sequence[Tuple[Arrangement, int]]]) -> str:
+def justify(
+    classes: Sequence[OntologyClass],
+    shapes: Dict[str, Sequence[Tuple[Arrangement, int]]],
+    wordnet_problem: str = "",
+) -> str:
     """Say in words why the predicates of the frame hold.
 
     Args:
         classes: every class of the answer.
         shapes: class name -> arrangements in force with the number of their members.
+        wordnet_problem: why WordNet could not be asked about the classes that are not listed; empty if it could.
 
     Returns:
         Sentences; "Nothing known is in view." for no class.
@@ -42,6 +47,8 @@ def justify(classes: Sequence[OntologyClass], shapes: Dict[str, Sequence[Tuple[A
         if Category.SEMANTIC_BARRIER in known.categories:
             sentences += _barrier_sentences(known.name, shapes.get(known.name, ()))
     sentences += [_unlisted_sentence(c) for c in classes if not c.listed]
+    if wordnet_problem:
+        sentences.append(f"WordNet could not be asked: {wordnet_problem}.")
     return " ".join(sentences) or "Nothing known is in view."
 
 

@@ -11,22 +11,25 @@ things. Per class, by category:
     social zone             NEAR, AROUND unsafe
     semantic barrier        NEAR unsafe; BETWEEN unsafe where an arrangement blocks, and then BETWEEN replaces AROUND
 
+BETWEEN speaks of the arrangements alone: the other instances of the class are exempt from it, and where they are
+hazards or social zones too, AROUND stays for them.
+
 Source: [CORE] contextual safety reasoning; appendix, VLM prompt. Differs: arrangements are judged on ground-plane
-    positions of held
-instances, and one that was found stays in force while two of its members are held.
+    positions of held instances, each for itself, and one that was found stays in force while two of its members are
+    held.
 """
 
 from __future__ import annotations
 
-from typing import Dict, List, Tuple
+from typing import Dict, FrozenSet, List, Sequence, Tuple
 
 import numpy as np
 
-from core_perception.arrangement import LINK_M
+from core_perception.arrangement import LINK_M, Arrangement
 from core_perception.ontology import Category, Ontology, OntologyClass
-from core_perception.predicates import Constraints, Operator, Predicate, Verdict, apply_precedence
+from core_perception.predicates import Constraints, Operator, Predicate, Verdict
 from core_perception.reasoners.arrangement_memory import ArrangementMemory
-from core_perception.reasoners.base import Evidence, Reasoner
+from core_perception.reasoners.base import Answer, Evidence, HeldInstance, Reasoner
 from core_perception.reasoners.justification import justify
 
 REACHING = (Category.HAZARD_INDICATOR, Category.SOCIAL_ZONE)
@@ -54,49 +57,86 @@ class OntologyReasoner(Reasoner):
         """Forget the arrangements."""
         self._arrangements.clear()
 
-    def reason(self, evidence: Evidence) -> Constraints:
-        """Return the constraints of one frame; predicates are ordered by class name, then operator."""
+    def reason(self, evidence: Evidence) -> Answer:
+        """State the constraints of one frame; predicates are ordered by class name, then operator.
+
+        Exemptions are stated where the evidence says by which history of the map its instances are numbered.
+        """
         instances = [i for i in evidence.instances if self._memory or i.in_view]
-        names = {self._ontology.canonical(n) for n in (*evidence.classes_seen, *(i.class_name for i in instances))}
+        members: Dict[str, List[HeldInstance]] = {}
+        for instance in sorted(instances, key=lambda i: i.id):
+            members.setdefault(self._ontology.canonical(instance.class_name), []).append(instance)
+        names = {self._ontology.canonical(name) for name in evidence.classes_seen} | set(members)
         classes = [self._ontology.look_up(name) for name in sorted(names)]
-        blocked = {
-            c.name: self._find_arrangements(c, instances) for c in classes if Category.SEMANTIC_BARRIER in c.categories
-        }
         predicates: List[Predicate] = []
+        shapes: Dict[str, List[Tuple[Arrangement, int]]] = {}
+        exempt: Dict[Predicate, Tuple[int, ...]] = {}
         for known in classes:
-            predicates += predicates_of(known, bool(blocked.get(known.name)))
-        kept = apply_precedence(predicates)
-        shapes = {name: shape for name, shape in blocked.items() if shape}
-        return Constraints(
-            kept, tuple(c.name for c in classes), justify(classes, shapes), self.source, evidence.stamp_ns
+            blocking: FrozenSet[int] = frozenset()
+            held = frozenset(i.id for i in members.get(known.name, ()))
+            if Category.SEMANTIC_BARRIER in known.categories:
+                found = self._find_arrangements(known.name, members.get(known.name, []))
+                shapes[known.name] = [(shape, len(ids)) for shape, ids in found]
+                blocking = frozenset().union(*(ids for _, ids in found))
+            stated = predicates_of(known, bool(blocking), bool(held - blocking))
+            predicates += stated
+            exempt.update(exemptions_of(stated, held, blocking))
+        if evidence.history_start_ns is None:
+            exempt = {}
+        unlisted = any(not known.listed for known in classes)
+        justification = justify(classes, shapes, self._ontology.wordnet_problem if unlisted else "")
+        return Answer(
+            Constraints(
+                tuple(predicates),
+                tuple(c.name for c in classes),
+                justification,
+                self.source,
+                evidence.stamp_ns,
+                exempt=exempt,
+                instances_history_start_ns=evidence.history_start_ns if exempt else None,
+            )
         )
 
-    def _find_arrangements(self, known, instances):
-        members = [i for i in instances if self._ontology.canonical(i.class_name) == known.name]
-        members.sort(key=lambda instance: instance.id)
+    def _find_arrangements(self, name, members):
         if not self._memory:
-            self._arrangements.pop(known.name, None)
+            self._arrangements.pop(name, None)
         memory = self._arrangements.setdefault(
-            known.name, ArrangementMemory(self._link_m, self._frames_of_three if self._memory else 1)
+            name, ArrangementMemory(self._link_m, self._frames_of_three if self._memory else 1)
         )
         positions_m = np.array([i.position_m for i in members], dtype=float).reshape(-1, 2)
         return memory.update([i.id for i in members], positions_m, [i.cluster for i in members])
 
 
-def predicates_of(known: OntologyClass, blocks: bool) -> Tuple[Predicate, ...]:
+def predicates_of(known: OntologyClass, blocks: bool = False, others: bool = True) -> Tuple[Predicate, ...]:
     """Return the predicates of one class.
 
     Args:
         known: the class.
-        blocks: its instances stand so that they close the way; only semantic barriers heed it.
+        blocks: some of its instances stand so that they close the way; only semantic barriers heed it.
+        others: some of its instances are not among those, so that BETWEEN does not replace their AROUND.
     """
     name = known.name
     if known.is_surface:
         verdict = Verdict.SAFE if known.categories == (Category.NAVIGABLE_SURFACE,) else Verdict.UNSAFE
         return (Predicate(Operator.ON, name, verdict),)
+    between = blocks and Category.SEMANTIC_BARRIER in known.categories
     predicates = [Predicate(Operator.NEAR, name, Verdict.UNSAFE)]
-    if any(category in REACHING for category in known.categories):
+    if any(category in REACHING for category in known.categories) and (others or not between):
         predicates.append(Predicate(Operator.AROUND, name, Verdict.UNSAFE, known.radius_m))
-    if blocks and Category.SEMANTIC_BARRIER in known.categories:
+    if between:
         predicates.append(Predicate(Operator.BETWEEN, name, Verdict.UNSAFE))
     return tuple(predicates)
+
+
+def exemptions_of(
+    predicates: Sequence[Predicate], held: FrozenSet[int], blocking: FrozenSet[int]
+) -> Dict[Predicate, Tuple[int, ...]]:
+    """Return which held instances of a class a predicate does not speak of, without predicates that speak of all.
+
+    Args:
+        predicates: of the class.
+        held: numbers of all its instances.
+        blocking: numbers of those that close the way, BETWEEN being stated if there are any.
+    """
+    spared = {Operator.BETWEEN: held - blocking, Operator.AROUND: blocking}
+    return {p: tuple(sorted(spared[p.operator])) for p in predicates if spared.get(p.operator)}

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import sys
-from typing import Tuple
+from typing import Optional, Sequence, Tuple
 
 import numpy as np
 import rospy
@@ -74,9 +74,10 @@ def array_to_image(array: np.ndarray, encoding: str, header) -> Image:
     return msg
 
 
-def predicate_to_msg(predicate: Predicate) -> PredicateMsg:
-    """Library predicate -> message; a radius of None becomes 0."""
+def predicate_to_msg(predicate: Predicate, exempt_instances: Sequence[int] = ()) -> PredicateMsg:
+    """Library predicate, and the instances it does not speak of -> message; a radius of None becomes 0."""
     return PredicateMsg(
+        exempt_instances=list(exempt_instances),
         spatial_operator=int(predicate.operator),
         class_name=predicate.class_name,
         verdict=int(predicate.verdict),
@@ -108,7 +109,8 @@ def constraints_to_msg(constraints: Constraints, stamp_ns: int) -> SafetyConstra
     msg.header.stamp = ns_to_stamp(stamp_ns)
     msg.image_stamp = ns_to_stamp(constraints.image_stamp_ns or 0)
     msg.latency = rospy.Duration(constraints.latency_ns // 10**9, constraints.latency_ns % 10**9)
-    msg.predicates = [predicate_to_msg(predicate) for predicate in constraints.predicates]
+    msg.predicates = [predicate_to_msg(p, constraints.exempt.get(p, ())) for p in constraints.predicates]
+    msg.instances_history_start = ns_to_stamp(constraints.instances_history_start_ns or 0)
     msg.classes = list(constraints.classes)
     return msg
 
@@ -119,14 +121,18 @@ def constraints_from_msg(msg: SafetyConstraints) -> Constraints:
     Raises:
         PredicateError: see predicate_from_msg.
     """
+    predicates = tuple(predicate_from_msg(p) for p in msg.predicates)
+    exempt = {p: tuple(m.exempt_instances) for p, m in zip(predicates, msg.predicates) if m.exempt_instances}
     return Constraints(
-        tuple(predicate_from_msg(p) for p in msg.predicates),
+        predicates,
         tuple(msg.classes),
         msg.justification,
         msg.source,
         stamp_to_ns(msg.image_stamp) if msg.image_stamp or msg.predicates else None,
         msg.latency.to_nsec(),
         msg.confidence,
+        exempt,
+        stamp_to_ns(msg.instances_history_start) if msg.instances_history_start else None,
     )
 
 
@@ -152,6 +158,11 @@ def held_instances(msg) -> Tuple[HeldInstance, ...]:
             middle = (corners.min(axis=0) + corners.max(axis=0)) / 2.0
             held.append(HeldInstance(instance.id, name, tuple(middle), instance.cluster, instance.in_view))
     return tuple(held)
+
+
+def history_start_ns(msg) -> Optional[int]:
+    """Return the history that the instances of an InstanceArray are counted by; None while the map has none."""
+    return stamp_to_ns(msg.history_start) if msg.history_start else None
 
 
 def segmentation_to_label_info(segmentation: Segmentation, header) -> LabelInfo:

@@ -1,13 +1,19 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Node safety_reasoner: what was seen and is held -> ``safety/constraints``."""
+"""Node safety_reasoner: what is seen and held -> ``safety/constraints``."""
 
 from __future__ import annotations
 
 import threading
+import time
 
 import rospy
 from core_msgs.msg import InstanceArray, LabelInfo, SafetyConstraints, Tick
+from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import Image
+from std_srvs.srv import Trigger, TriggerResponse
 
+from core_perception.asking import Findings
+from core_perception.exceptions import PerceptionError
 from core_perception.newest import NewestAnswer
 from core_perception.params import ReasonerParams
 from core_perception.reasoners.base import Evidence
@@ -15,9 +21,17 @@ from core_perception.reasoners.factory import make_reasoner
 from core_perception.release import ReleaseSchedule
 from core_perception.ros import conversions
 from core_perception.ros.node import config_dir, run_node
+from core_perception.ros.operator_services import OperatorServices
+from core_perception.ros.reasoner_diagnostics import make_diagnostics
 from core_perception.stamped_join import StampedJoin
 
 QUEUE_SIZE = 50
+# Images are large: a few are enough to meet the labels made from them.
+IMAGES_WAITING = 20
+IMAGE_BUFFER_BYTES = 2**24
+# How often a slow reasoner is looked at in a lock-step world [s], wall time.
+POLL_PERIOD_S = 0.02
+DIAGNOSTICS_PERIOD_S = 1.0
 
 
 class SafetyReasonerNode:
@@ -27,33 +41,71 @@ class SafetyReasonerNode:
         """Connect the topics.
 
         Raises:
-            PerceptionError: a file of the reasoner is missing or wrong.
+            PerceptionError: a file of the reasoner is missing or wrong, or a server's address is not allowed.
         """
-        reasoner = make_reasoner(params, config_dir())
+        self._params = params
+        parts = make_reasoner(params, config_dir(), rospy.get_name())
+        self._reasoner = reasoner = parts.reasoner
+        rospy.loginfo("safety_reasoner: %s", parts.description)
         # Held while an answer is made: statements must leave in the order of their stamps, whichever topic completes
         # them.
-        self._lock = threading.Lock()
-        self._join = StampedJoin("classes", "instances")
-        self._schedule = ReleaseSchedule(reasoner, round(params.latency_s * 1e9)) if params.lockstep else None
-        self._newest = None if params.lockstep else NewestAnswer(reasoner)
+        self._lock = threading.RLock()
+        self._rules = OperatorServices(params, parts.ontology, reasoner.reads_guidelines, self._lock)
+        self._findings = Findings(reasoner, parts.memory)
+        self._description = parts.description
+        streams = ["classes", "instances"] + (["image"] if reasoner.reads_image else [])
+        slop_ns = 0 if params.lockstep else round(params.slop_s * 1e9)
+        self._join = StampedJoin(*streams, capacity=IMAGES_WAITING if reasoner.reads_image else 50, slop_ns=slop_ns)
+        self._schedule = self._newest = None
+        if params.lockstep:
+            self._schedule = ReleaseSchedule(reasoner, round(params.latency_s * 1e9), self._findings)
+        else:
+            self._newest = NewestAnswer(reasoner, self._findings)
         self._publisher = rospy.Publisher("safety/constraints", SafetyConstraints, queue_size=QUEUE_SIZE, latch=True)
-        if reasoner.reads_evidence:
+        self._diagnostics = rospy.Publisher("diagnostics", DiagnosticArray, queue_size=1)
+        rospy.Service("~reset_context", Trigger, self._on_reset_context)
+        rospy.on_shutdown(reasoner.close)
+        self._connect()
+        self._run_every(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics)
+
+    def _connect(self):
+        if self._reasoner.reads_evidence:
             self._subscribe("segmentation/label_info", LabelInfo, self._on_label_info)
             self._subscribe("semantic_map/instances", InstanceArray, self._on_instances)
-        if params.lockstep:
-            self._subscribe("lockstep/tick", Tick, self._on_tick)
-        else:
-            self._timer = rospy.Timer(rospy.Duration(1.0 / params.rate_hz), self._on_timer, reset=True)
+        if self._reasoner.reads_image:
+            self._subscribe("camera/color/image_raw", Image, self._on_image)
+        if self._schedule is None:
+            self._timer = rospy.Timer(rospy.Duration(1.0 / self._params.rate_hz), self._on_timer, reset=True)
+            return
+        self._subscribe("lockstep/tick", Tick, self._on_tick)
+        if self._reasoner.is_slow:
+            self._run_every(POLL_PERIOD_S, self._poll)
 
     @staticmethod
     def _subscribe(topic, message_type, callback):
-        rospy.Subscriber(topic, message_type, callback, queue_size=QUEUE_SIZE, tcp_nodelay=True)
+        rospy.Subscriber(
+            topic, message_type, callback, queue_size=QUEUE_SIZE, buff_size=IMAGE_BUFFER_BYTES, tcp_nodelay=True
+        )
+
+    @staticmethod
+    def _run_every(period_s, work):
+        """Call work on the wall clock, which goes on when sim time stands still."""
+
+        def run():
+            while not rospy.is_shutdown():
+                work()
+                time.sleep(period_s)
+
+        threading.Thread(target=run, daemon=True).start()
 
     def _on_label_info(self, msg):
         self._add("classes", msg, conversions.classes_seen(msg))
 
     def _on_instances(self, msg):
-        self._add("instances", msg, conversions.held_instances(msg))
+        self._add("instances", msg, (conversions.held_instances(msg), conversions.history_start_ns(msg)))
+
+    def _on_image(self, msg):
+        self._add("image", msg, msg)
 
     def _add(self, stream, msg, item):
         stamp_ns = conversions.stamp_to_ns(msg.header.stamp)
@@ -61,26 +113,62 @@ class SafetyReasonerNode:
             matched = self._join.add(stream, stamp_ns, item)
             if matched is None:
                 return
-            evidence = Evidence(stamp_ns, matched["classes"], matched["instances"])
+            evidence = self._make_evidence(stamp_ns, matched)
+            if evidence is None:
+                return
             if self._schedule is None:
                 self._newest.add_evidence(evidence)
             else:
                 self._schedule.add_evidence(evidence)
                 self._publish_due()
 
+    def _make_evidence(self, stamp_ns, matched):
+        image = matched.get("image")
+        if image is not None:
+            stamp_ns = conversions.stamp_to_ns(image.header.stamp)
+            try:
+                image = conversions.color_to_rgb(image)
+            except PerceptionError as error:
+                rospy.logerr_throttle(10.0, "safety_reasoner: image not used: %s", error)
+                return None
+        instances, history_start_ns = matched["instances"]
+        guidelines = self._rules.guidelines()
+        return Evidence(stamp_ns, matched["classes"], instances, image, guidelines, history_start_ns)
+
     def _on_tick(self, msg):
         with self._lock:
             self._schedule.add_frame(conversions.stamp_to_ns(msg.frame_stamp))
             self._publish_due()
 
+    def _poll(self):
+        with self._lock:
+            self._publish_due()
+
     def _publish_due(self):
         for stamp_ns, constraints in self._schedule.poll():
-            self._publisher.publish(conversions.constraints_to_msg(constraints, stamp_ns))
+            self._publish(constraints, stamp_ns)
 
     def _on_timer(self, _event):
         now_ns = conversions.stamp_to_ns(rospy.Time.now())
         with self._lock:
-            self._publisher.publish(conversions.constraints_to_msg(self._newest.at(now_ns), now_ns))
+            self._publish(self._newest.at(now_ns), now_ns)
+
+    def _publish(self, constraints, stamp_ns):
+        self._publisher.publish(conversions.constraints_to_msg(self._rules.merge(constraints, stamp_ns), stamp_ns))
+
+    def _on_reset_context(self, _request) -> TriggerResponse:
+        with self._lock:
+            (self._newest or self._schedule).forget_answers()
+        message = "every answer so far is forgotten, the operator's rules stay; the robot stops until the next answer"
+        return TriggerResponse(success=True, message=message)
+
+    def _publish_diagnostics(self):
+        try:
+            with self._lock:
+                array = make_diagnostics(self._findings, self._description, self._rules.count())
+            self._diagnostics.publish(array)
+        except rospy.ROSException:
+            return  # topics are closed: the node is shutting down
 
 
 def main() -> int:

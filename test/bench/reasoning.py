@@ -1,0 +1,83 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: BSD-3-Clause
+"""./core.sh bench reasoning [--cases N] [--seed S]: parser, memory, injected text, ontology, arrangement, emulation.
+
+Progress goes to stderr; the last line on stdout is one JSON object. Keys and their bars:
+
+    fuzz        cases (100 000), crashes 0, shrinks 0: a void reply, or fewer than M good ones, never shrinks what is
+                unsafe; with how many were valid and void, by cause
+    injection   cases, early 0, rules 0, wrongly_safe 0: nothing held or ordered is cleared in fewer than M replies
+    ontology    right >= 0.92 of the held-out names, hazards called navigable 0, time of a frame <= 5 ms;
+                arrangement: line >= 0.99, arc >= 0.95, ring >= 0.99, corner >= 0.90, scatter (n >= 4), lane <= 0.02
+    emulated    rates and latency of 10 000 replies with the interval around the table's figures
+    bars        each of these with figure, bar and met
+"""
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+
+from tqdm import tqdm
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "src" / "core_perception" / "test"))
+
+import emulated_stats
+import injection_cases
+import ontology_bench
+import reply_fuzz
+
+LEAST_FOUND = {"line": 0.99, "arc": 0.95, "ring": 0.99, "corner": 0.90}
+
+
+def judge(results):
+    """Every bar of this bench: its figure, what it must be, and whether it is."""
+    fuzz, injection, ontology = results["fuzz"], results["injection"], results["ontology"]
+    shapes = ontology["arrangements"]
+    figures = {
+        "fuzz_crashes": (fuzz["crashes"], "==", 0),
+        "fuzz_shrinks": (fuzz["shrinks"] + fuzz["hasty"] + fuzz["unheeded"] + fuzz["unearned_safe"], "==", 0),
+        "injection_cleared": (injection["hazards_cleared_early"] + injection["rules_cleared"], "==", 0),
+        "injection_wrongly_safe": (injection["wrongly_safe"], "==", 0),
+        "names_right": (ontology["accuracy"], ">=", 0.92),
+        "hazards_called_navigable": (ontology["hazards_called_navigable"], "==", 0),
+        "ms_per_frame": (ontology["ms_per_frame"], "<=", 5.0),
+        **{name: (shapes[name], ">=", least) for name, least in LEAST_FOUND.items()},
+        **{name: (shapes[name], "<=", 0.02) for name in ("scatter_3m", "scatter_6m", "lane")},
+        "emulated_agrees": (int(results["emulated"]["agrees"]), "==", 1),
+    }
+    holds = {"==": lambda a, b: a == b, ">=": lambda a, b: a >= b, "<=": lambda a, b: a <= b}
+    return {
+        name: {"figure": round(figure, 4), "bar": f"{sign} {limit}", "met": holds[sign](figure, limit)}
+        for name, (figure, sign, limit) in figures.items()
+    }
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", type=int, default=100000, help="fuzzed replies")
+    parser.add_argument("--replies", type=int, default=10000, help="emulated replies")
+    parser.add_argument("--seed", type=int, default=int(os.environ.get("CORE_SEED", "0")))
+    options = parser.parse_args()
+    if options.cases < 1 or options.replies < 1:
+        parser.error("--cases and --replies: allowed >= 1")
+    parts = {
+        "fuzz": lambda: reply_fuzz.run(options.cases, options.seed),
+        "injection": injection_cases.run,
+        "ontology": ontology_bench.run,
+        "emulated": lambda: emulated_stats.run(options.replies),
+    }
+    results = {"bench": "reasoning", "seed": options.seed}
+    for name, run in tqdm(parts.items(), file=sys.stderr, desc="reasoning", unit="part"):
+        results[name] = run()
+    results["bars"] = judge(results)
+    for name, bar in results["bars"].items():
+        print(
+            f"{name:26}{bar['figure']:>10}   bar {bar['bar']:8} {'met' if bar['met'] else 'NOT MET'}", file=sys.stderr
+        )
+    print(json.dumps(results, sort_keys=True))
+
+
+if __name__ == "__main__":
+    main()
