@@ -18,7 +18,7 @@ CORE for ROS 1: contextual safety for robots, in a PyBullet world.
         --view                    with RViz;   gui:=true  with PyBullet's window
         --seeds N                 N seeds and a count of the outcomes
         --help                    every argument
-  ./core.sh test [NAME …]         every test: lint unit cpp ros (or only the named kinds)
+  ./core.sh test [NAME …]         every test: lint unit python38 cpp ros (or only the named kinds)
   ./core.sh bench NAME [--help]   measure something against its bar; JSON in the last line: reasoning model_faults
   ./core.sh lint                  style, formatting, budgets, catkin_lint, spelling
   ./core.sh install [DIR]         catkin install space (default: install/)

@@ -235,7 +235,8 @@ def test_an_answer_to_what_was_before_a_reset_is_not_taken_in_and_the_next_quest
     schedule.add_frame(frame_ns)
     schedule.add_evidence(Evidence(frame_ns))
     schedule.poll()
-    reasoner.go.release(2)
+    reasoner.go.release()
+    reasoner.go.release()
     schedule.add_frame(frame_ns + PERIOD_NS)
     stated = []
     wait_for(lambda: stated.extend(schedule.poll()) or (stated and stated[-1][0] == frame_ns + PERIOD_NS))
