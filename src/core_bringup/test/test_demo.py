@@ -261,6 +261,7 @@ def test_table_names_every_figure_and_file(tmp_path):
     table = demo_report.format_table(RESULT, tmp_path)
     for name in (
         "outcome",
+        "who answered",
         "smallest clearance",
         "stop gap",
         "interventions",
