@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: BSD-3-Clause
-"""Walks up to the cones on the word of a model server, in lock-step, then once more from the recording alone."""
+"""Walks up to the cones on the word of a model that does not see them, in lock-step, then again from the recording."""
 
 import json
 import subprocess
@@ -16,9 +16,9 @@ sys.path.insert(0, str(Path(rospkg.RosPack().get_path("core_perception")) / "tes
 from fakes.fake_model_server import FakeModelServer  # noqa: E402
 
 ANSWER = json.dumps({
-    "safety_logic": "A line of cones closes the aisle ahead. The floor is meant for walking.",
-    "classes": ["traffic_cone", "cardboard_box", "floor"],
-    "unsafe_regions": ["NEAR(traffic_cone)", "BETWEEN(traffic_cone)", "NEAR(cardboard_box)"],
+    "safety_logic": "The aisle ahead is free. The floor is meant for walking.",
+    "classes": ["cardboard_box", "floor"],
+    "unsafe_regions": ["NEAR(cardboard_box)"],
     "safe_regions": ["ON(floor)"],
 })  # fmt: skip
 LATENCY_S = 1.3
@@ -50,12 +50,13 @@ class Replay(unittest.TestCase):
             recording = Path(folder) / "recording" / "replies.jsonl"
             replies = [json.loads(line) for line in recording.read_text().splitlines()]
         self.assertEqual(first["outcome"], "prevented")
+        # The embedded rules hold besides what the model says.
         self.assertIn("BETWEEN(traffic_cone)=unsafe", first["predicates"])
-        self.assertEqual(first["predicates_source"], "ollama")
+        self.assertEqual(first["predicates_source"], "ollama+ontology")
         self.assertGreater(len(replies), 8)
         self.assertEqual({r["error_cause"] for r in replies if "error_cause" in r}, {"length", "bad_reply"})
         self.assertTrue(all(r["latency_s"] >= LATENCY_S for r in replies if "error_cause" not in r))
-        self.assertEqual(second["predicates_source"], "replay")
+        self.assertEqual(second["predicates_source"], "replay+ontology")
         self.assertEqual(first["trajectory_sha256"], second["trajectory_sha256"])
 
 

@@ -116,7 +116,7 @@ def robot():
 def test_what_a_model_says_of_the_image_is_stated_with_names_of_the_ontology(robot):
     with FakeModelServer(answer=lambda chat: json.dumps(ANSWER)) as server:
         robot.start("segmenter")
-        robot.start(reasoner="ollama", model="gemma3:27b", server_url=server.url, rate_hz=50.0)
+        robot.start(reasoner="ollama", model="gemma3:27b", server_url=server.url, rate_hz=50.0, embedded_rules=False)
         expected = {"NEAR(traffic_cone)=unsafe", "BETWEEN(traffic_cone)=unsafe", "ON(floor)=safe"}
         robot.wait_for(lambda: robot.stated() == expected, "the answer of the model")
         newest = robot.newest()
@@ -132,6 +132,17 @@ def test_what_a_model_says_of_the_image_is_stated_with_names_of_the_ontology(rob
         assert expected <= robot.stated()
         assert robot.status()["level"] == 1
         assert "not_json" in robot.status()["message"]
+
+
+def test_a_model_that_never_sees_the_cones_does_not_open_their_line(robot):
+    blind = {**ANSWER, "classes": ["floor"], "unsafe_regions": [], "safety_logic": "An empty hall."}
+    with FakeModelServer(answer=lambda chat: json.dumps(blind)) as server:
+        robot.start("segmenter")
+        robot.start(reasoner="ollama", model="gemma3:27b", server_url=server.url, rate_hz=50.0)
+        robot.wait_for(lambda: "BETWEEN(traffic_cone)=unsafe" in robot.stated(), "the embedded rules")
+        robot.wait_for(lambda: len(server.chats()) > 10, "ten answers")
+        assert {"BETWEEN(traffic_cone)=unsafe", "ON(floor)=safe"} <= robot.stated()
+        assert robot.newest().source == "ollama+ontology"
 
 
 def test_a_sentence_of_the_operator_is_told_to_the_model(robot):
@@ -206,7 +217,7 @@ def test_auto_takes_ollama_when_it_answers_and_says_so(robot):
     with FakeModelServer(answer=lambda chat: json.dumps(ANSWER)) as server:
         robot.start("segmenter")
         robot.start(reasoner="auto", server_url=server.url)
-        robot.wait_for(lambda: robot.stated() and robot.newest().source == "ollama", "the answer of the model")
+        robot.wait_for(lambda: robot.stated() and robot.newest().source == "ollama+ontology", "the answer of the model")
         status = robot.wait_for(robot.status, "diagnostics")
         assert "auto chose ollama" in status["reasoner"]
         assert "gemma3:27b" in status["reasoner"]

@@ -29,6 +29,7 @@ class ReasonerParams:
         predicates: true rules, for the oracle and the emulated reasoner.
         memory: what was seen stays in force (constraint memory, held instances, found arrangements); false answers from
             the newest frame alone.
+        embedded_rules: what the ontology calls unsafe holds besides what a model says.
         clear_after_replies: answers in a row that must leave a held hazard out before it is cleared.
         link_m: instances of one class nearer than this belong to one arrangement [m], where the map gives no cluster.
         frames_of_three: number of answers in a row that must see an arrangement of only three instances.
@@ -69,6 +70,7 @@ class ReasonerParams:
     rules_file: str = text("", "the path of a rules file, or empty for the package's own")
     predicates: Tuple[str, ...] = statements()
     memory: bool = flag(True)
+    embedded_rules: bool = flag(True)
     clear_after_replies: int = whole(3, 1, 100)
     link_m: float = number(2.5, 0.0, 20.0, above=True)
     frames_of_three: int = whole(3, 1, 100)

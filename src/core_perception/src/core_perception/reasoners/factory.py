@@ -37,12 +37,14 @@ class ReasonerParts:
         reasoner: answers.
         ontology: canonical names of its classes.
         memory: holds what earlier answers said; None where each answer replaces the last.
+        embedded: the embedded rules that hold besides; None for none.
         description: which reasoner answers and why that one, in one line.
     """
 
     reasoner: Reasoner
     ontology: Ontology
     memory: Optional[ConstraintMemory]
+    embedded: Optional[OntologyReasoner]
     description: str
 
 
@@ -66,7 +68,8 @@ def make_reasoner(params: ReasonerParams, config_dir: Path, robot_name: str = ""
         reason = f"auto chose {choice.reasoner}: {choice.reason}"
     reasoner = _make(params, config_dir, ontology, robot_name)
     memory = ConstraintMemory(ontology, params.clear_after_replies) if reasoner.forgets and params.memory else None
-    return ReasonerParts(reasoner, ontology, memory, reason)
+    embedded = _make_ontology_reasoner(params, ontology) if reasoner.reads_image and params.embedded_rules else None
+    return ReasonerParts(reasoner, ontology, memory, embedded, reason)
 
 
 def _make(params: ReasonerParams, config_dir: Path, ontology: Ontology, robot_name: str) -> Reasoner:
@@ -83,8 +86,12 @@ def _make(params: ReasonerParams, config_dir: Path, ontology: Ontology, robot_na
         truth = map(parse_predicate, params.predicates)
         return EmulatedReasoner(truth, rows[params.emulated_row], params.emulated_correlation, params.seed, ontology)
     if params.reasoner == "ontology":
-        return OntologyReasoner(ontology, params.memory, params.link_m, params.frames_of_three)
+        return _make_ontology_reasoner(params, ontology)
     return _make_vlm(params, config_dir, ontology, robot_name)
+
+
+def _make_ontology_reasoner(params: ReasonerParams, ontology: Ontology) -> OntologyReasoner:
+    return OntologyReasoner(ontology, params.memory, params.link_m, params.frames_of_three)
 
 
 def _make_vlm(params: ReasonerParams, config_dir: Path, ontology: Ontology, robot_name: str) -> VlmReasoner:

@@ -13,11 +13,12 @@ from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger, TriggerResponse
 
 from core_perception.asking import Findings
+from core_perception.embedded_rules import GuardedAnswer, GuardedSchedule
 from core_perception.exceptions import PerceptionError
 from core_perception.newest import NewestAnswer
 from core_perception.params import ReasonerParams
 from core_perception.reasoners.base import Evidence
-from core_perception.reasoners.factory import make_reasoner
+from core_perception.reasoners.factory import ReasonerParts, make_reasoner
 from core_perception.release import ReleaseSchedule
 from core_perception.ros import conversions
 from core_perception.ros.node import config_dir, run_node
@@ -56,11 +57,8 @@ class SafetyReasonerNode:
         streams = ["classes", "instances"] + (["image"] if reasoner.reads_image else [])
         slop_ns = 0 if params.lockstep else round(params.slop_s * 1e9)
         self._join = StampedJoin(*streams, capacity=IMAGES_WAITING if reasoner.reads_image else 50, slop_ns=slop_ns)
-        self._schedule = self._newest = None
-        if params.lockstep:
-            self._schedule = ReleaseSchedule(reasoner, round(params.latency_s * 1e9), self._findings)
-        else:
-            self._newest = NewestAnswer(reasoner, self._findings)
+        self._schedule = make_schedule(params, parts, self._findings) if params.lockstep else None
+        self._newest = None if params.lockstep else make_newest(parts, self._findings)
         self._publisher = rospy.Publisher("safety/constraints", SafetyConstraints, queue_size=QUEUE_SIZE, latch=True)
         self._diagnostics = rospy.Publisher("diagnostics", DiagnosticArray, queue_size=1)
         rospy.Service("~reset_context", Trigger, self._on_reset_context)
@@ -169,6 +167,23 @@ class SafetyReasonerNode:
             self._diagnostics.publish(array)
         except rospy.ROSException:
             return  # topics are closed: the node is shutting down
+
+
+def make_schedule(params: ReasonerParams, parts: ReasonerParts, findings: Findings):
+    """Return when answers come into force in a lock-step world, with the embedded rules where they hold besides."""
+    latency_ns = round(params.latency_s * 1e9)
+    schedule = ReleaseSchedule(parts.reasoner, latency_ns, findings)
+    if parts.embedded is None:
+        return schedule
+    return GuardedSchedule(schedule, ReleaseSchedule(parts.embedded, latency_ns, Findings(parts.embedded)))
+
+
+def make_newest(parts: ReasonerParts, findings: Findings):
+    """Return the newest answer, with the embedded rules where they hold besides."""
+    newest = NewestAnswer(parts.reasoner, findings)
+    if parts.embedded is None:
+        return newest
+    return GuardedAnswer(newest, NewestAnswer(parts.embedded, Findings(parts.embedded)))
 
 
 def main() -> int:
