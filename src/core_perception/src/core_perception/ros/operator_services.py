@@ -29,7 +29,11 @@ NO_READER = "this reasoner reads no sentences; give a predicate such as 'AROUND(
 
 
 class OperatorServices:
-    """Rules of a person: kept, handed to the reasoner, merged into every statement."""
+    """Rules of a person: kept, handed to the reasoner, merged into every statement.
+
+    Their time is the stamp of the newest statement. A second clock beside it, a little behind, would look like one that
+    goes back again and again, and each time a rule would lose a bit of its lifetime.
+    """
 
     def __init__(self, params: ReasonerParams, ontology: Ontology, reads_guidelines: bool, lock):
         """Read the rules that were kept and offer the services.
@@ -45,9 +49,9 @@ class OperatorServices:
         """
         self._lock, self._reads_guidelines, self._given = lock, reads_guidelines, params.guidelines
         path = rules_path(params.operator_rules_file, rospy.get_name())
-        self._rules = OperatorRules(path, ontology.canonical, rospy.Time.now().to_sec())
-        now_s = rospy.Time.now().to_sec()
-        unread = (*self._given, *self._rules.guidelines(now_s))
+        self._now_s = rospy.Time.now().to_sec()
+        self._rules = OperatorRules(path, ontology.canonical, self._now_s)
+        unread = self.guidelines()
         if unread and not reads_guidelines:
             rospy.logwarn("safety_reasoner: %d sentences are not heeded: %s", len(unread), NO_READER)
         rospy.Service("add_rule", AddRule, self._on_add)
@@ -55,16 +59,17 @@ class OperatorServices:
         rospy.Service("list_rules", ListRules, self._on_list)
 
     def merge(self, constraints: Constraints, now_ns: int) -> Constraints:
-        """Return the statement with the operator's rules in it."""
-        return self._rules.merge(constraints, now_ns * 1e-9)
+        """Return the statement that holds from now_ns on, with the operator's rules in it."""
+        self._now_s = now_ns * 1e-9
+        return self._rules.merge(constraints, self._now_s)
 
     def guidelines(self) -> Tuple[str, ...]:
         """Sentences for the language model."""
-        return (*self._given, *self._rules.guidelines(rospy.Time.now().to_sec()))
+        return (*self._given, *self._rules.guidelines(self._now_s))
 
     def count(self) -> int:
         """Return how many rules of the service are active."""
-        return len(self._rules.active(rospy.Time.now().to_sec()))
+        return len(self._rules.active(self._now_s))
 
     def _on_add(self, request) -> AddRuleResponse:
         if request.kind not in (OperatorRule.PREDICATE, OperatorRule.GUIDELINE):
@@ -74,8 +79,7 @@ class OperatorServices:
             return AddRuleResponse(False, "", NO_READER)
         try:
             with self._lock:
-                now_s = rospy.Time.now().to_sec()
-                rule = self._rules.add(request.text, kind, request.lifetime.to_sec(), now_s)
+                rule = self._rules.add(request.text, kind, request.lifetime.to_sec(), self._now_s)
         except PerceptionError as error:
             return AddRuleResponse(False, "", str(error))
         until = "until it is removed" if rule.expires_s is None else f"for {request.lifetime.to_sec():g} s"
@@ -91,7 +95,7 @@ class OperatorServices:
 
     def _on_list(self, _request) -> ListRulesResponse:
         with self._lock:
-            rules = self._rules.active(rospy.Time.now().to_sec())
+            rules = self._rules.active(self._now_s)
         return ListRulesResponse([_rule_to_msg(rule) for rule in rules])
 
 
