@@ -4,7 +4,9 @@
 import random
 import threading
 import time
+import weakref
 
+import numpy as np
 import pytest
 
 from core_perception.asking import Findings
@@ -50,8 +52,8 @@ class SlowReasoner(CountingReasoner):
         return super().reason(evidence)
 
 
-def make_schedule(reasoner, latency_ns, **options):
-    return ReleaseSchedule(reasoner, latency_ns, Findings(reasoner), **options)
+def make_schedule(reasoner, latency_ns):
+    return ReleaseSchedule(reasoner, latency_ns, Findings(reasoner))
 
 
 def wait_for(condition, limit_s=5.0):
@@ -218,6 +220,38 @@ def test_while_a_slow_reasoner_works_the_world_goes_on_in_real_time_and_no_faste
     reasoner.go.release()
     wait_for(lambda: stated.extend(schedule.poll()) or len(stated) == 2)
     assert summary(stated)[1] == (2, 0)
+
+
+def test_an_answer_that_is_handed_over_late_comes_into_force_when_its_measured_latency_says():
+    class Dawdling(CountingReasoner):
+        is_slow = True
+
+        def reason(self, evidence):
+            time.sleep(0.4)
+            return super().reason(evidence)
+
+    stated = {}
+    for kind in (CountingReasoner, Dawdling):
+        schedule, stated[kind] = make_schedule(kind(latencies_ns=[150_000_000] * 9), PERIOD_NS), []
+        for k in range(5):
+            schedule.add_frame(k * PERIOD_NS)
+            wait_for(lambda s=schedule, got=stated[kind], k=k: got.extend(s.poll()) or len(got) > k)
+            schedule.add_evidence(Evidence(k * PERIOD_NS))
+    assert summary(stated[Dawdling]) == summary(stated[CountingReasoner])
+
+
+def test_frames_that_pass_while_a_slow_reasoner_works_are_not_kept():
+    reasoner = SlowReasoner()
+    schedule, images = make_schedule(reasoner, PERIOD_NS), []
+    for k in range(30):
+        schedule.add_frame(k * 10_000_000)
+        wait_for(schedule.poll)
+        image = np.zeros((2, 2, 3), np.uint8)
+        images.append(weakref.ref(image))
+        schedule.add_evidence(Evidence(k * 10_000_000, image=image))
+        del image
+    reasoner.go.release()
+    assert sum(image() is not None for image in images) <= 2
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import threading
 import time
 from collections import Counter
 from dataclasses import replace
-from typing import Callable, Optional
+from typing import Optional
 
 from core_perception.constraint_memory import ConstraintMemory
 from core_perception.predicates import Constraints
@@ -17,23 +17,16 @@ from core_perception.reasoners.base import Answer, Evidence, Reasoner
 class Asking:
     """A reasoner's work on one evidence; that of a slow one goes on in a thread of its own."""
 
-    def __init__(
-        self,
-        reasoner: Reasoner,
-        evidence: Evidence,
-        after: Optional[Asking] = None,
-        on_answer: Callable[[], None] = lambda: None,
-    ):
+    def __init__(self, reasoner: Reasoner, evidence: Evidence, after: Optional[Asking] = None):
         """Begin.
 
         Args:
             reasoner: it serves one call at a time.
             evidence: what it is asked about.
             after: an earlier call nobody waits for any more, which must end first.
-            on_answer: called from that thread when a slow reasoner has answered.
         """
         self.evidence = evidence
-        self._reasoner, self._after, self._on_answer = reasoner, after, on_answer
+        self._reasoner, self._after = reasoner, after
         self._ended = threading.Event()
         self._begun_ns = time.monotonic_ns()
         self._answer: Optional[Answer] = None
@@ -59,7 +52,6 @@ class Asking:
             self._after = None
         self._answer = self._ask()
         self._ended.set()
-        self._on_answer()
 
     def _ask(self) -> Answer:
         try:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Callable, Dict, List, Optional, Tuple
+from typing import Dict, List, Optional, Tuple
 
 from core_perception.asking import Asking, Findings
 from core_perception.predicates import Constraints
@@ -11,8 +11,9 @@ from core_perception.reasoners.base import Evidence, Reasoner
 
 # Stamps made from floating-point seconds may lie a nanosecond beside the exact multiple of a period.
 STAMP_SLACK_NS = 1000
-# Wall time within which an answer that a client has measured reaches this schedule.
-HANDLING_NS = 50_000_000
+# Wall time within which an answer that a client has measured reaches this schedule, on busy cores too: a later one
+# would come into force later than in a replay. It costs no time: frames that waited follow at once on the answer.
+HANDLING_NS = 500_000_000
 
 
 class ReleaseSchedule:
@@ -26,16 +27,13 @@ class ReleaseSchedule:
     from f itself on.
     """
 
-    def __init__(
-        self, reasoner: Reasoner, latency_ns: int, findings: Findings, on_answer: Callable[[], None] = lambda: None
-    ):
+    def __init__(self, reasoner: Reasoner, latency_ns: int, findings: Findings):
         """Start with no frame.
 
         Args:
             reasoner: gives the answers.
             latency_ns: declared latency [ns], > 0.
             findings: collects them.
-            on_answer: called from another thread when a slow reasoner has answered: poll then.
 
         Raises:
             ValueError: a latency that is not positive; the first frame would wait for itself.
@@ -43,7 +41,6 @@ class ReleaseSchedule:
         if latency_ns <= 0:
             raise ValueError(f"latency_ns: got {latency_ns}, allowed > 0")
         self._reasoner, self._latency_ns, self._findings = reasoner, latency_ns, findings
-        self._on_answer = on_answer
         self._asking: Optional[Asking] = None
         self._discarded: Optional[Asking] = None  # nobody waits for its answer
         self._forget_frames()
@@ -96,7 +93,10 @@ class ReleaseSchedule:
                 return False  # its evidence has not come
             asked_ns, answer = asking.evidence.stamp_ns, asking.answer
             if answer is None:
-                return asked_ns + asking.latency_floor_ns > frame_ns + HANDLING_NS
+                if asked_ns + asking.latency_floor_ns <= frame_ns + HANDLING_NS:
+                    return False
+                self._drop(lambda stamp_ns: stamp_ns <= frame_ns)  # nor will it be asked about: free its image
+                return True
             latency_ns = self._latency_ns if answer.latency_ns is None else answer.latency_ns
             if asked_ns + latency_ns > frame_ns + STAMP_SLACK_NS:
                 return True
@@ -117,7 +117,7 @@ class ReleaseSchedule:
             return False
         evidence = self._evidence.get(self._unasked[0])
         if evidence is not None:
-            self._asking = Asking(self._reasoner, evidence, self._discarded, self._on_answer)
+            self._asking = Asking(self._reasoner, evidence, self._discarded)
             self._drop(lambda stamp_ns: stamp_ns <= evidence.stamp_ns)
         return True
 
