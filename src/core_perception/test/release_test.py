@@ -315,6 +315,18 @@ def test_newest_answer_reasons_once_per_evidence_and_keeps_its_stamp():
     assert reasoner.resets == 1
 
 
+def test_newest_answer_waits_for_a_latency_that_was_drawn_and_asks_about_nothing_meanwhile():
+    reasoner = CountingReasoner(latencies_ns=[430, 0])
+    newest = NewestAnswer(reasoner, Findings(reasoner))
+    newest.add_evidence(Evidence(10))
+    assert newest.at(20).image_stamp_ns is None
+    newest.add_evidence(Evidence(30))
+    newest.add_evidence(Evidence(40))
+    assert newest.at(439).image_stamp_ns is None
+    assert newest.at(440).image_stamp_ns == 40
+    assert reasoner.seen == [10, 40]
+
+
 def test_join_matches_equal_stamps_and_drops_what_is_older():
     join = StampedJoin("a", "b")
     assert join.add("a", 1, "a1") is None

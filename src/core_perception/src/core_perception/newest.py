@@ -12,7 +12,10 @@ from core_perception.reasoners.base import Evidence, Reasoner
 
 
 class NewestAnswer:
-    """Asks about the newest evidence, one question at a time; image_stamp_ns tells the age of what is stated."""
+    """Asks about the newest evidence, one question at a time; image_stamp_ns tells the age of what is stated.
+
+    An answer that is there at once but has a latency, drawn or recorded, holds from image stamp + latency on.
+    """
 
     def __init__(self, reasoner: Reasoner, findings: Findings):
         """Start without evidence.
@@ -57,6 +60,8 @@ class NewestAnswer:
         if self._asking is None or self._asking.answer is None:
             return
         asking, answer = self._asking, self._asking.answer
+        if not self._reasoner.is_slow and now_ns < asking.evidence.stamp_ns + (answer.latency_ns or 0):
+            return
         self._asking = None
         self._pause_until_s = time.monotonic() + answer.retry_after_ns * 1e-9
         self._findings.take(answer, asking.evidence, max(0, now_ns - asking.evidence.stamp_ns))
