@@ -30,7 +30,7 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Dict, FrozenSet, Iterable, List, Optional, Set, Tuple
 
-from core_perception.ontology import Category, Ontology
+from core_perception.ontology import Ontology
 from core_perception.predicates import Constraints, Operator, Predicate, Verdict
 from core_perception.reasoners.base import Evidence
 
@@ -158,8 +158,7 @@ class ConstraintMemory:
         return predicate.operator == Operator.ON or self._is_navigable(predicate.class_name)
 
     def _is_navigable(self, name: str) -> bool:
-        known = self._ontology.look_up(name)
-        return known.listed and known.categories == (Category.NAVIGABLE_SURFACE,)
+        return self._ontology.look_up(name).is_navigable
 
     def _update_objects(self, stated: List[Predicate], view: _View):
         for predicate in stated:

@@ -47,3 +47,13 @@ class OntologyClass:
     def is_surface(self) -> bool:
         """A class that ON applies to."""
         return self.categories[0] in SURFACES
+
+    @property
+    def is_navigable(self) -> bool:
+        """A surface that is written in the file as made for travel."""
+        return self.listed and self.categories == (Category.NAVIGABLE_SURFACE,)
+
+    @property
+    def is_object(self) -> bool:
+        """A class written in the file that ON does not apply to; of others nobody knows."""
+        return self.listed and not self.is_surface

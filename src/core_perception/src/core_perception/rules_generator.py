@@ -19,7 +19,7 @@ from typing import Iterable, Sequence, Tuple
 import yaml
 
 from core_perception.exceptions import ParameterError, PerceptionError, ReplyError, ServerError
-from core_perception.ontology import Category, Ontology
+from core_perception.ontology import Ontology
 from core_perception.params import ReasonerParams
 from core_perception.predicates import Operator, Predicate, Verdict
 from core_perception.prompt import PromptTemplate
@@ -63,12 +63,7 @@ def generate_rules(client, template: PromptTemplate, ontology: Ontology, guideli
     """
     prompt = template.compose(guidelines, picture=False)
     answer = client.ask(prompt.system, prompt.user, None, reply_schema(template.chain_of_thought), seed, None)
-
-    def is_object(name):
-        known = ontology.look_up(name)
-        return known.listed and not known.is_surface
-
-    reply = parse_reply(answer.text, answer.thinking, is_object, ontology.canonical)
+    reply = parse_reply(answer.text, answer.thinking, lambda name: ontology.look_up(name).is_object, ontology.canonical)
     kept = tuple(p for p in reply.predicates if _may_be_stated(p, ontology))
     if not kept:
         raise ReplyError("empty", "the model stated no rule that may be kept")
@@ -77,8 +72,7 @@ def generate_rules(client, template: PromptTemplate, ontology: Ontology, guideli
 
 
 def _may_be_stated(predicate: Predicate, ontology: Ontology) -> bool:
-    known = ontology.look_up(predicate.class_name)
-    is_navigable = known.listed and known.categories == (Category.NAVIGABLE_SURFACE,)
+    is_navigable = ontology.look_up(predicate.class_name).is_navigable
     return predicate.verdict == Verdict.UNSAFE or (predicate.operator == Operator.ON and is_navigable)
 
 

@@ -117,7 +117,7 @@ def predicates_of(known: OntologyClass, blocks: bool = False, others: bool = Tru
     """
     name = known.name
     if known.is_surface:
-        verdict = Verdict.SAFE if known.categories == (Category.NAVIGABLE_SURFACE,) else Verdict.UNSAFE
+        verdict = Verdict.SAFE if known.is_navigable else Verdict.UNSAFE
         return (Predicate(Operator.ON, name, verdict),)
     between = blocks and Category.SEMANTIC_BARRIER in known.categories
     predicates = [Predicate(Operator.NEAR, name, Verdict.UNSAFE)]

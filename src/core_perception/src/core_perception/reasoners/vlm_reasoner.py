@@ -115,8 +115,7 @@ class VlmReasoner(Reasoner):
         return predicate.verdict == Verdict.SAFE and not self._ontology.look_up(predicate.class_name).listed
 
     def _is_object(self, name: str) -> bool:
-        known = self._ontology.look_up(name)
-        return known.listed and not known.is_surface
+        return self._ontology.look_up(name).is_object
 
     def _rate(self, first, reply, prompt, image) -> Tuple[float, float]:
         """Confidence of the answer, NaN for none, and the time that took [s]."""
