@@ -33,7 +33,7 @@ class ScriptedServer:
     """Stands for a client with a server: gives what the list says, in order."""
 
     def __init__(self, *outcomes):
-        self.outcomes, self.asks, self.is_closed, self.preloads = list(outcomes), [], False, 0
+        self.outcomes, self.asks, self.is_closed = list(outcomes), [], False
 
     def ask(self, system, user, image_rgb, schema, seed=None, temperature=None):
         self.asks.append((system, user, image_rgb, schema, seed, temperature))
@@ -41,10 +41,6 @@ class ScriptedServer:
         if isinstance(outcome, Exception):
             raise outcome
         return outcome
-
-    def preload(self):
-        self.preloads += 1
-        return ModelReply("", finish="load")
 
     def close(self):
         self.is_closed = True
@@ -171,8 +167,6 @@ def test_the_client_is_asked_with_exactly_what_was_given(tmp_path):
     assert server.asks[0][2] is pixels
     assert server.asks[0][3:] == (SCHEMA, 5, 0.7)
     assert server.asks[1][4:] == (None, None)
-    client.preload()
-    assert server.preloads == 1
     client.close()
     assert server.is_closed
     assert len(lines(tmp_path)) == 2
@@ -396,7 +390,6 @@ def test_an_ask_that_was_aborted_by_closing_is_not_recorded(tmp_path):
 def test_a_replay_needs_nothing_else_and_never_waits(tmp_path):
     record(tmp_path, (image(0), ModelReply("slow", latency_s=300.0)))
     replay = ReplayClient(tmp_path)
-    replay.preload()
     assert ask(replay, image(0)).latency_s == 300.0
     replay.close()
     assert ask(replay, image(0)).latency_s == 300.0

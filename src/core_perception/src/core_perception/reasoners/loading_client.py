@@ -11,7 +11,7 @@ from core_perception.reasoners.wire import ModelReply
 
 
 class LoadingClient:
-    """Has the methods of VlmClient; what loading takes is part of the latency."""
+    """Has ask() and close() of VlmClient; what loading takes is part of the latency."""
 
     def __init__(self, client: VlmClient):
         """Keep the client."""

@@ -59,7 +59,7 @@ def hash_prompt(system: str, user: str, schema: Optional[dict], seed: Optional[i
 
 
 class RecordingClient:
-    """Hands every ask to a client and writes down what comes of it; has the methods of VlmClient."""
+    """Hands every ask to a client and writes down what comes of it; has ask() and close() of VlmClient."""
 
     def __init__(self, client, directory, model: str, wire: str, keep_images: bool = False):
         """Open the folder's file, or make both; a line that an earlier run left unfinished is cut off.
@@ -117,10 +117,6 @@ class RecordingClient:
         self._write(key, image_rgb, {**entry, "token_logprobs": reply.token_logprobs}, reply.latency_s)
         return reply
 
-    def preload(self):
-        """As the client; nothing is recorded."""
-        return self._client.preload()
-
     def close(self) -> None:
         """Abort the client's running ask, which is then not recorded, and end the recording."""
         with self._lock:
@@ -145,7 +141,7 @@ class RecordingClient:
 
 
 class ReplayClient:
-    """Answers from a recording; has the methods of VlmClient. One caller at a time.
+    """Answers from a recording; has ask() and close() of VlmClient. One caller at a time.
 
     The same question gets its recorded outcomes in their order, failures too, and then the last one again. Nothing
     waits: the recorded latency is in the reply, for the caller to charge.
@@ -191,9 +187,6 @@ class ReplayClient:
         if isinstance(outcome, ModelReply):
             return outcome
         raise ServerError(*outcome)
-
-    def preload(self) -> None:
-        """Do nothing: everything is there."""
 
     def close(self) -> None:
         """Do nothing: nothing is held."""
