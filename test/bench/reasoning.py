@@ -2,13 +2,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """./core.sh bench reasoning [--cases N] [--seed S]: parser, memory, injected text, ontology, arrangement, emulation.
 
-Progress goes to stderr; the last line on stdout is one JSON object. Keys and their bars:
+Progress goes to stderr; the last line on stdout is one JSON object. Exit code 1 when a bar is not met. Keys and bars:
 
     fuzz        cases (100 000), crashes 0, shrinks 0: a void reply, or fewer than M good ones, never shrinks what is
                 unsafe; with how many were valid and void, by cause
-    injection   cases, early 0, rules 0, wrongly_safe 0: nothing held or ordered is cleared in fewer than M replies
-    ontology    right >= 0.92 of the held-out names, hazards called navigable 0, time of a frame <= 5 ms;
-                arrangement: line >= 0.99, arc >= 0.95, ring >= 0.99, corner >= 0.90, scatter (n >= 4), lane <= 0.02
+    injection   cases, hazards_cleared_early 0, rules_cleared 0, wrongly_safe 0: nothing held or ordered is cleared in
+                fewer than M replies
+    ontology    accuracy >= 0.92 on the held-out names, hazards_called_navigable 0, ms_per_frame <= 5; arrangements:
+                line >= 0.99, arc >= 0.95, ring >= 0.99, corner >= 0.90, scatter (n >= 4), lane <= 0.02
     emulated    rates and latency of 10 000 replies with the interval around the table's figures
     bars        each of these with figure, bar and met
 """
@@ -38,6 +39,7 @@ def judge(results):
     figures = {
         "fuzz_crashes": (fuzz["crashes"], "==", 0),
         "fuzz_shrinks": (fuzz["shrinks"] + fuzz["hasty"] + fuzz["unheeded"] + fuzz["unearned_safe"], "==", 0),
+        "fuzz_misread": (fuzz["misread"] + fuzz["spoilt_but_valid"], "==", 0),
         "injection_cleared": (injection["hazards_cleared_early"] + injection["rules_cleared"], "==", 0),
         "injection_wrongly_safe": (injection["wrongly_safe"], "==", 0),
         "names_right": (ontology["accuracy"], ">=", 0.92),
@@ -77,7 +79,8 @@ def main():
             f"{name:26}{bar['figure']:>10}   bar {bar['bar']:8} {'met' if bar['met'] else 'NOT MET'}", file=sys.stderr
         )
     print(json.dumps(results, sort_keys=True))
+    return 0 if all(bar["met"] for bar in results["bars"].values()) else 1
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
