@@ -91,7 +91,11 @@ class SafetyReasonerNode:
 
         def run():
             while not rospy.is_shutdown():
-                work()
+                try:
+                    work()
+                except rospy.ROSException:  # topics close while the node shuts down
+                    if not rospy.is_shutdown():
+                        raise
                 time.sleep(period_s)
 
         threading.Thread(target=run, daemon=True).start()
@@ -161,12 +165,9 @@ class SafetyReasonerNode:
         return TriggerResponse(success=True, message=message)
 
     def _publish_diagnostics(self):
-        try:
-            with self._lock:
-                array = make_diagnostics(self._findings, self._description, self._rules.count())
-            self._diagnostics.publish(array)
-        except rospy.ROSException:
-            return  # topics are closed: the node is shutting down
+        with self._lock:
+            array = make_diagnostics(self._findings, self._description, self._rules.count())
+        self._diagnostics.publish(array)
 
 
 def make_schedule(params: ReasonerParams, parts: ReasonerParts, findings: Findings):
