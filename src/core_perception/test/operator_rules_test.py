@@ -216,6 +216,15 @@ def test_a_clock_that_goes_back_while_running_leaves_a_rule_its_time():
     assert rules.active(15.0) == ()
 
 
+def test_callers_whose_clocks_differ_by_a_little_leave_a_rule_its_time():
+    rules = load(None)
+    rules.add("NEAR(car)", PREDICATE, 60.0, 1000.0)
+    for tick in range(500):  # a lock-step world: the clock, then the stamp of an earlier frame
+        now_s = 1000.0 + 0.1 * tick
+        assert len(rules.active(now_s)) == len(rules.active(now_s - 0.4)) == 1
+    assert len(rules.active(1059.9)) == 1 and rules.active(1060.0) == ()
+
+
 GOOD = {
     "format_version": 1,
     "saved_at_s": 5.0,

@@ -33,6 +33,9 @@ from core_perception.predicates import Constraints, Operator, Predicate, Verdict
 from core_perception.prompt import MAX_SENTENCE_CHARS, check_sentence
 
 MAX_RULES = 64
+# Statements of a lock-step world are stamped by frames, services by the clock, which is ahead of them: such a step back
+# is no clock that went back.
+CLOCK_SLACK_S = 1.0
 MAX_FILE_BYTES = 1 << 20
 FORMAT_VERSION = 1
 
@@ -118,9 +121,10 @@ class OperatorRules:
 
     def active(self, now_s: float) -> Tuple[Rule, ...]:
         """Return the rules in force, oldest first."""
-        if now_s < self._now_s:
+        if now_s < self._now_s - CLOCK_SLACK_S:
             self._rules = tuple(_shifted(rule, now_s - self._now_s) for rule in self._rules)
-        self._now_s = now_s
+            self._now_s = now_s
+        self._now_s = max(self._now_s, now_s)
         return tuple(rule for rule in self._rules if rule.expires_s is None or rule.expires_s > now_s)
 
     def guidelines(self, now_s: float) -> Tuple[str, ...]:
