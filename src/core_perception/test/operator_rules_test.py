@@ -225,6 +225,28 @@ def test_callers_whose_clocks_differ_by_a_little_leave_a_rule_its_time():
     assert len(rules.active(1059.9)) == 1 and rules.active(1060.0) == ()
 
 
+@pytest.mark.parametrize("now_s, left_s", [(1010.0, 50.0), (1059.9, 0.1), (5.0, 60.0)])
+def test_rules_wait_for_a_clock_that_has_not_begun_at_a_restart(path, now_s, left_s):
+    load(path).add("NEAR(car)", PREDICATE, 60.0, 1000.0)
+    content = path.read_text(encoding="utf-8")
+    for _ in range(2):  # the second start reads what the first one may have written
+        rules = load(path, None)
+        assert len(rules.active(None)) == 1 and merged(rules, answer(), None) == ["NEAR(car)=unsafe"]
+        assert path.read_text(encoding="utf-8") == content
+        assert len(rules.active(now_s)) == len(rules.active(now_s + left_s - 0.01)) == 1
+        assert rules.active(now_s + left_s + 0.01) == ()
+        content = path.read_text(encoding="utf-8")
+    assert load(path, now_s + left_s + 0.01).active(None) == ()
+
+
+def test_no_lifetime_can_begin_before_the_clock():
+    rules = load(None, None)
+    with pytest.raises(RuleError, match="lifetime.*clock"):
+        rules.add("NEAR(car)", PREDICATE, 60.0, None)
+    rules.add("NEAR(car)", PREDICATE, 0.0, None)
+    assert len(rules.active(None)) == len(rules.active(1000.0)) == 1
+
+
 GOOD = {
     "format_version": 1,
     "saved_at_s": 5.0,

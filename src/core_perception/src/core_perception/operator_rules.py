@@ -2,7 +2,8 @@
 """Rules that a person gave: predicates that no answer can speak against, and sentences for a language model.
 
 A rule holds at once, for its lifetime or until it is removed, and is kept in a file across restarts. Time is an
-argument, in seconds of whatever clock the caller keeps; a clock that goes back leaves every rule the time it had.
+argument, in seconds of whatever clock the caller keeps; a clock that goes back leaves every rule the time it had, and
+while it has not begun (None: sim time before the first message of its clock) no rule ages.
 
 The file is YAML with exactly these keys, written whole and then put in place of the old one::
 
@@ -67,43 +68,45 @@ class Rule:
 class OperatorRules:
     """The rules of one robot."""
 
-    def __init__(self, path: Optional[Path], canonical: Callable[[str], str], now_s: float):
+    def __init__(self, path: Optional[Path], canonical: Callable[[str], str], now_s: Optional[float]):
         """Load what the file holds; rules that have expired are left out.
 
         Args:
             path: file to keep the rules in, made with the first rule; None keeps them in memory alone.
             canonical: the name under which a class is known; raises PredicateError for what is none.
-            now_s: time [s].
+            now_s: time [s]; None while the clock has not begun.
 
         Raises:
             RuleError: the file is there but cannot be read, written or understood; the message starts with the path.
         """
-        self._path, self._canonical, self._now_s = path and Path(path), canonical, now_s
+        self._path, self._canonical, self._now_s = path and Path(path), canonical, now_s or 0.0
         self._rules: Tuple[Rule, ...] = ()
         self._next_number = 1
         if self._path is not None and self._path.exists():
             self._load(now_s)
 
-    def add(self, text: str, kind: RuleKind, lifetime_s: float, now_s: float) -> Rule:
+    def add(self, text: str, kind: RuleKind, lifetime_s: float, now_s: Optional[float]) -> Rule:
         """Add a rule, in force at once, and keep it in the file.
 
         Args:
             text: a predicate such as ``AROUND(forklift, 1.5)=unsafe``, or a sentence.
             kind: which of the two.
             lifetime_s: how long it holds [s]; 0: until it is removed.
-            now_s: time [s].
+            now_s: time [s]; None while the clock has not begun.
 
         Raises:
             RuleError: the text is no predicate, or no printable line of at most 300 characters; it says of a region
-                the opposite of a rule in force; there are 64 rules; the lifetime is negative or not finite; the file
-                cannot be written. Nothing is changed then.
+                the opposite of a rule in force; there are 64 rules; the lifetime is negative, not finite, or would begin
+                before the clock; the file cannot be written. Nothing is changed then.
         """
         active = self.active(now_s)
         if not (math.isfinite(lifetime_s) and lifetime_s >= 0.0):
             raise RuleError(f"lifetime: got {lifetime_s}, allowed >= 0 s, 0 for ever")
+        if lifetime_s and now_s is None:
+            raise RuleError(f"lifetime: got {lifetime_s}, allowed 0 (for ever) while the clock has not begun")
         expires_s = now_s + lifetime_s if lifetime_s else None
         rule = self._checked(Rule(f"rule_{self._next_number}", text, kind, expires_s), active)
-        self._keep((*active, rule), self._next_number + 1, now_s)
+        self._keep((*active, rule), self._next_number + 1)
         return rule
 
     def remove(self, rule_id: str) -> bool:
@@ -116,22 +119,20 @@ class OperatorRules:
         left = tuple(rule for rule in active if rule.id != rule_id)
         if len(left) == len(active):
             return False
-        self._keep(left, self._next_number, self._now_s)
+        self._keep(left, self._next_number)
         return True
 
-    def active(self, now_s: float) -> Tuple[Rule, ...]:
+    def active(self, now_s: Optional[float]) -> Tuple[Rule, ...]:
         """Return the rules in force, oldest first."""
-        if now_s < self._now_s - CLOCK_SLACK_S:
-            self._rules = tuple(_shifted(rule, now_s - self._now_s) for rule in self._rules)
-            self._now_s = now_s
-        self._now_s = max(self._now_s, now_s)
-        return tuple(rule for rule in self._rules if rule.expires_s is None or rule.expires_s > now_s)
+        with contextlib.suppress(RuleError):  # they hold whether or not that could be written down
+            self._follow(now_s)
+        return _unexpired(self._rules, self._now_s if now_s is None else now_s)
 
-    def guidelines(self, now_s: float) -> Tuple[str, ...]:
+    def guidelines(self, now_s: Optional[float]) -> Tuple[str, ...]:
         """Return the sentences in force, oldest first."""
         return tuple(rule.text for rule in self.active(now_s) if rule.kind == RuleKind.GUIDELINE)
 
-    def merge(self, constraints: Constraints, now_s: float) -> Constraints:
+    def merge(self, constraints: Constraints, now_s: Optional[float]) -> Constraints:
         """Put the rules in force in front of what a reasoner states.
 
         A rule removes what the reasoner states of the same operator and class, whatever its verdict, with its
@@ -146,6 +147,16 @@ class OperatorRules:
         told = [p for p in rules if p.verdict == Verdict.UNSAFE or p.operator in (Operator.ON, Operator.BETWEEN)]
         exempt = {p: ids for p, ids in constraints.exempt.items() if _region(p) not in ruled}
         return replace(constraints, predicates=tuple(dict.fromkeys((*told, *kept))), exempt=exempt)
+
+    def _follow(self, now_s: Optional[float]):
+        """Learn the time; a clock that has gone back leaves every rule the time it had, in the file as well."""
+        if now_s is None:
+            return
+        by_s = now_s - self._now_s
+        self._now_s = now_s if by_s < -CLOCK_SLACK_S else max(self._now_s, now_s)
+        if by_s < -CLOCK_SLACK_S:
+            self._rules = tuple(_shifted(rule, by_s) for rule in self._rules)
+            self._keep(self._rules, self._next_number)
 
     def _predicates_of(self, rule: Rule) -> Tuple[Predicate, ...]:
         return (parse_predicate(rule.text),) if rule.kind == RuleKind.PREDICATE else ()
@@ -177,29 +188,25 @@ class OperatorRules:
                     raise RuleError(f"rule: got {predicate}, but {other.id} says {held}; remove it first")
         return replace(rule, text=str(predicate))
 
-    def _load(self, now_s: float):
+    def _load(self, now_s: Optional[float]):
         try:
             if self._path.stat().st_size > MAX_FILE_BYTES:
                 raise RuleError(f"got more than {MAX_FILE_BYTES} bytes")
             # The base loader leaves every scalar a text: it constructs nothing that could fail in another way.
             data = yaml.load(self._path.read_text(encoding="utf-8"), Loader=yaml.BaseLoader)
-            saved_at_s, self._next_number, self._rules = _read_file(data)
-            self._now_s = saved_at_s
-            active: Tuple[Rule, ...] = ()
-            for rule in self.active(now_s):
-                active = (*active, self._checked(rule, active))
+            self._now_s, self._next_number, rules = _read_file(data)
+            for rule in _unexpired(rules, max(self._now_s, now_s or self._now_s)):
+                self._rules = (*self._rules, self._checked(rule, self._rules))
         except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError, RuleError) as error:
             raise RuleError(f"{self._path}: {' '.join(str(error).split())}") from error
-        if now_s < saved_at_s:  # the times in the file are of a clock that has gone back since
-            self._keep(active, self._next_number, now_s)
-        self._rules = active
+        self._follow(now_s)
 
-    def _keep(self, rules: Tuple[Rule, ...], next_number: int, now_s: float):
+    def _keep(self, rules: Tuple[Rule, ...], next_number: int):
         """Write the file, then take the rules over."""
         if self._path is not None:
             data = {
                 "format_version": FORMAT_VERSION,
-                "saved_at_s": now_s,
+                "saved_at_s": self._now_s,
                 "next_number": next_number,
                 "rules": [
                     {"id": r.id, "text": r.text, "kind": r.kind.name.lower(), "expires_s": r.expires_s} for r in rules
@@ -215,6 +222,10 @@ class OperatorRules:
 
 def _region(predicate: Predicate) -> Tuple[Operator, str]:
     return predicate.operator, predicate.class_name
+
+
+def _unexpired(rules: Tuple[Rule, ...], now_s: float) -> Tuple[Rule, ...]:
+    return tuple(rule for rule in rules if rule.expires_s is None or rule.expires_s > now_s)
 
 
 def _shifted(rule: Rule, by_s: float) -> Rule:

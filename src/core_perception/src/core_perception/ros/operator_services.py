@@ -49,7 +49,7 @@ class OperatorServices:
         """
         self._lock, self._reads_guidelines, self._given = lock, reads_guidelines, params.guidelines
         path = rules_path(params.operator_rules_file, rospy.get_name())
-        self._now_s = rospy.Time.now().to_sec()
+        self._now_s = _now_s()
         self._rules = OperatorRules(path, ontology.canonical, self._now_s)
         unread = self.guidelines()
         if unread and not reads_guidelines:
@@ -60,7 +60,7 @@ class OperatorServices:
 
     def merge(self, constraints: Constraints, now_ns: int) -> Constraints:
         """Return the statement that holds from now_ns on, with the operator's rules in it."""
-        self._now_s = now_ns * 1e-9
+        self._now_s = now_ns * 1e-9 or None
         return self._rules.merge(constraints, self._now_s)
 
     def guidelines(self) -> Tuple[str, ...]:
@@ -97,6 +97,11 @@ class OperatorServices:
         with self._lock:
             rules = self._rules.active(self._now_s)
         return ListRulesResponse([_rule_to_msg(rule) for rule in rules])
+
+
+def _now_s() -> Optional[float]:
+    """ROS time [s]; None before the first message of a simulated clock."""
+    return rospy.Time.now().to_sec() or None
 
 
 def rules_path(parameter: str, node_name: str) -> Optional[Path]:
