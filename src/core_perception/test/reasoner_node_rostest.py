@@ -10,7 +10,7 @@ import sys
 import numpy as np
 import pytest
 import rospy
-from core_msgs.msg import OperatorRule
+from core_msgs.msg import LabelClass, LabelInfo, OperatorRule
 from core_msgs.srv import AddRule, ListRules, RemoveRule
 from diagnostic_msgs.msg import DiagnosticArray
 from fake_chain import (
@@ -211,6 +211,30 @@ def test_reset_context_forgets_the_answers_and_keeps_the_rules(robot):
         assert robot.call("safety_reasoner/reset_context", Trigger).success
         wait_for(lambda: robot.stated() == {"NEAR(ladder)=unsafe"}, "the rule alone")
         assert robot.newest().image_stamp.to_nsec() == 0
+
+
+def test_stamps_of_different_sensors_that_match_in_turns_forget_no_arrangement(robot):
+    labels = rospy.Publisher(f"/{robot.namespace}/segmentation/label_info", LabelInfo, queue_size=5, latch=True)
+    robot.start(rate_hz=50.0, slop_s=0.06)
+    begun_ns = rospy.Time.now().to_nsec()
+
+    def see(offset_ms):
+        header = Header(stamp=ns_to_stamp(begun_ns + offset_ms * 10**6))
+        labels.publish(LabelInfo(header, [LabelClass(1, "traffic_cone", 1.0)], []))
+
+    def hold(offset_ms):
+        robot.chain.publish_instances(begun_ns + offset_ms * 10**6, "traffic_cone", CONE_LINE_M)
+
+    def stated_of(offset_ms):
+        return lambda: robot.newest() and robot.newest().image_stamp.to_nsec() == begun_ns + offset_ms * 10**6
+
+    hold(0)
+    see(49)  # a frame of labels between the two was lost
+    wait_for(stated_of(49), "the first statement")
+    see(82)
+    hold(33)
+    wait_for(stated_of(82), "the second statement")
+    labels.unregister()
 
 
 def test_auto_takes_ollama_when_it_answers_and_says_so(robot):

@@ -54,7 +54,9 @@ class SafetyReasonerNode:
         self._rules = OperatorServices(params, parts.ontology, reasoner.reads_guidelines, self._lock)
         self._findings = Findings(reasoner, parts.memory)
         self._description = parts.description
-        streams = ["classes", "instances"] + (["image"] if reasoner.reads_image else [])
+        # The first one's stamp is that of the evidence: of whichever came last it could go back from match to match.
+        streams = (["image"] if reasoner.reads_image else []) + ["classes", "instances"]
+        self._leader = streams[0]
         slop_ns = 0 if params.lockstep else round(params.slop_s * 1e9)
         self._join = StampedJoin(*streams, capacity=IMAGES_WAITING if reasoner.reads_image else 50, slop_ns=slop_ns)
         self._schedule = make_schedule(params, parts, self._findings) if params.lockstep else None
@@ -112,10 +114,10 @@ class SafetyReasonerNode:
     def _add(self, stream, msg, item):
         stamp_ns = conversions.stamp_to_ns(msg.header.stamp)
         with self._lock:
-            matched = self._join.add(stream, stamp_ns, item)
+            matched = self._join.add(stream, stamp_ns, (stamp_ns, item))
             if matched is None:
                 return
-            evidence = self._make_evidence(stamp_ns, matched)
+            evidence = self._make_evidence(matched[self._leader][0], {name: m[1] for name, m in matched.items()})
             if evidence is None:
                 return
             if self._schedule is None:
@@ -127,7 +129,6 @@ class SafetyReasonerNode:
     def _make_evidence(self, stamp_ns, matched):
         image = matched.get("image")
         if image is not None:
-            stamp_ns = conversions.stamp_to_ns(image.header.stamp)
             try:
                 image = conversions.color_to_rgb(image)
             except PerceptionError as error:
