@@ -53,6 +53,12 @@ BAD = [
     (ReasonerParams, {"frames_of_three": 0}, "frames_of_three"),
     (ReasonerParams, {"frames_of_three": 2.5}, "frames_of_three"),
     (ReasonerParams, {"lock_step": True}, "lock_step"),
+    (ReasonerParams, {"record_dir": "~no_such_user/recording"}, "record_dir"),
+    (ReasonerParams, {"operator_rules_file": "~no_such_user/rules.yaml"}, "operator_rules_file"),
+    (ReasonerParams, {"rules_file": "a\0b"}, "rules_file"),
+    (ReasonerParams, {"model": "two\nlines"}, "model"),
+    (ReasonerParams, {"keep_alive": -1.5}, "keep_alive"),
+    (ReasonerParams, {"keep_alive": True}, "keep_alive"),
     (ReasonerParams, [], "~"),
     (SegmenterParams, {"segmenter": "sam3"}, "segmenter"),
     (SegmenterParams, {"miss_rate": 1.1}, "miss_rate"),
@@ -84,3 +90,13 @@ def test_integers_are_numbers_and_statements_become_canonical():
     )
     assert params.rate_hz == 5.0
     assert params.predicates == ("AROUND(fork_lift, 2.0)=unsafe", "ON(floor)=safe")
+
+
+def test_what_yaml_reads_as_a_number_is_text_where_text_is_wanted():
+    assert ReasonerParams.from_dict({"keep_alive": -1}).keep_alive == "-1"
+
+
+def test_every_path_may_begin_with_the_home_directory(monkeypatch):
+    monkeypatch.setenv("HOME", "/home/robot")
+    params = ReasonerParams.from_dict({"rules_file": "~/rules.yaml", "replay_dir": "~", "record_dir": "a/~b"})
+    assert (params.rules_file, params.replay_dir, params.record_dir) == ("/home/robot/rules.yaml", "/home/robot", "a/~b")

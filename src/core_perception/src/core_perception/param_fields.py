@@ -6,6 +6,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import field
+from pathlib import Path
 from typing import Callable
 
 from core_perception.exceptions import ParameterError, PerceptionError
@@ -61,12 +62,28 @@ def choice(default: str, *options: str):
 
 
 def text(default: str, allowed: str):
-    """Field of a line of text."""
+    """Field of a line of text; a whole number, as YAML reads the text -1, is taken for its digits."""
 
     def read(value):
-        if not isinstance(value, str):
+        if isinstance(value, int) and not isinstance(value, bool):
+            value = str(value)
+        if not isinstance(value, str) or not value.isprintable():
             raise ValueError
         return value
+
+    return field(default=default, metadata={"read": read, "allowed": allowed})
+
+
+def path(default: str, allowed: str):
+    """Field of a path, of which a leading ``~`` or ``~user`` is replaced by that home directory."""
+
+    def read(value):
+        if not isinstance(value, str) or not value.isprintable():
+            raise ValueError
+        try:
+            return str(Path(value).expanduser()) if value.startswith("~") else value
+        except RuntimeError as error:  # nobody of that name
+            raise ValueError from error
 
     return field(default=default, metadata={"read": read, "allowed": allowed})
 

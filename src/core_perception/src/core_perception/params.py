@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Tuple
 
 from core_perception.exceptions import ParameterError
-from core_perception.param_fields import choice, flag, number, read_parameters, sentences, statements, text, whole
+from core_perception.param_fields import choice, flag, number, path, read_parameters, sentences, statements, text, whole
 
 REASONERS = ("ontology", "auto", "ollama", "openai", "static", "oracle", "emulated", "replay")
 
@@ -65,20 +65,20 @@ class ReasonerParams:
     rate_hz: float = number(10.0, 0.1, 100.0)
     slop_s: float = number(0.05, 0.0, 1.0)
     latency_s: float = number(0.1, 0.0, 60.0, above=True)
-    ontology_file: str = text("", "the path of an ontology, or empty for the package's own")
-    wordnet_dir: str = text("", "the path of a folder with index.noun and data.noun, or empty for Debian's")
-    rules_file: str = text("", "the path of a rules file, or empty for the package's own")
+    ontology_file: str = path("", "the path of an ontology, or empty for the package's own")
+    wordnet_dir: str = path("", "the path of a folder with index.noun and data.noun, or empty for Debian's")
+    rules_file: str = path("", "the path of a rules file, or empty for the package's own")
     predicates: Tuple[str, ...] = statements()
     memory: bool = flag(True)
     embedded_rules: bool = flag(True)
     clear_after_replies: int = whole(3, 1, 100)
     link_m: float = number(2.5, 0.0, 20.0, above=True)
     frames_of_three: int = whole(3, 1, 100)
-    operator_rules_file: str = text("", "the path of a file, auto, or empty to keep none")
+    operator_rules_file: str = path("", "the path of a file, auto, or empty to keep none")
     guidelines: Tuple[str, ...] = sentences()
     server_url: str = text("", "an address such as http://127.0.0.1:11434, or empty for the usual one")
     model: str = text("", "the name of a model, or empty")
-    allowed_hosts_file: str = text("", "the path of a list of hosts, or empty")
+    allowed_hosts_file: str = path("", "the path of a list of hosts, or empty")
     allow_remote_images: bool = flag(False)
     api_key_env: str = text("", "the name of an environment variable, or empty")
     deadline_s: float = number(30.0, 0.1, 600.0)
@@ -87,14 +87,14 @@ class ReasonerParams:
     context_tokens: int = whole(8192, 1024, 262144)
     keep_alive: str = text("30m", "a duration such as 30m, or -1")
     image_max_px: int = whole(896, 64, 4096)
-    prompt_file: str = text("", "the path of a prompt file, or empty for the package's own")
+    prompt_file: str = path("", "the path of a prompt file, or empty for the package's own")
     safety_logic: bool = flag(True)
     chain_of_thought: bool = flag(True)
     confidence: str = choice("none", "none", "samples", "logprobs")
     confidence_samples: int = whole(3, 2, 20)
-    record_dir: str = text("", "the path of a folder, or empty")
+    record_dir: str = path("", "the path of a folder, or empty")
     record_images: bool = flag(False)
-    replay_dir: str = text("", "the path of a recording, or empty")
+    replay_dir: str = path("", "the path of a recording, or empty")
     emulated_row: str = text("gemma3-27b", "a row of config/emulated.yaml")
     emulated_correlation: str = choice("independent", "independent", "scene")
     seed: int = whole(0, 0, 2**31 - 1)
@@ -133,7 +133,7 @@ class SegmenterParams:
 
     segmenter: str = choice("simulated", "simulated")
     lockstep: bool = flag(False)
-    ontology_file: str = text("", "the path of an ontology, or empty for the package's own")
+    ontology_file: str = path("", "the path of an ontology, or empty for the package's own")
     miss_rate: float = number(0.0, 0.0, 1.0)
     pixel_drop_rate: float = number(0.0, 0.0, 1.0)
     erode_px: int = whole(0, 0, 50)

@@ -99,11 +99,11 @@ def _make_vlm(params: ReasonerParams, config_dir: Path, ontology: Ontology, robo
         params.prompt_file or config_dir / "prompt.yaml", params.safety_logic, params.chain_of_thought
     )
     is_replay = params.reasoner == "replay"
-    client = ReplayClient(Path(params.replay_dir).expanduser()) if is_replay else make_client(params)
+    client = ReplayClient(Path(params.replay_dir)) if is_replay else make_client(params)
     if params.reasoner == "ollama":
         client = LoadingClient(client)
     if params.record_dir:
-        folder = Path(params.record_dir).expanduser()
+        folder = Path(params.record_dir)
         client = RecordingClient(client, folder, params.model, params.reasoner, params.record_images)
     return VlmReasoner(
         params.reasoner,
@@ -134,5 +134,5 @@ def make_client(params: ReasonerParams) -> VlmClient:
 
 
 def _find_endpoint(params: ReasonerParams) -> Endpoint:
-    allowed = load_allowed_hosts(Path(params.allowed_hosts_file).expanduser()) if params.allowed_hosts_file else ()
+    allowed = load_allowed_hosts(Path(params.allowed_hosts_file)) if params.allowed_hosts_file else ()
     return Endpoint.parse(params.server_url or USUAL_URLS[params.reasoner], allowed, params.allow_remote_images)

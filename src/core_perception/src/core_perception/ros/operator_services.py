@@ -109,7 +109,7 @@ def rules_path(parameter: str, node_name: str) -> Optional[Path]:
     if not parameter:
         return None
     if parameter != "auto":
-        return Path(parameter).expanduser()
+        return Path(parameter)
     home = Path(os.environ.get("ROS_HOME", "~/.ros")).expanduser()
     return home / "core" / (node_name.strip("/").replace("/", ".") + ".rules.yaml")
 
