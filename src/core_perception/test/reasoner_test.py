@@ -14,8 +14,11 @@ from core_perception.exceptions import PerceptionError
 from core_perception.ontology import Ontology
 from core_perception.params import ReasonerParams
 from core_perception.predicates import Operator
+from core_perception.prompt import PromptTemplate
 from core_perception.reasoners.base import Evidence, HeldInstance
+from core_perception.reasoners.emulated_reasoner import load_rows
 from core_perception.reasoners.factory import make_reasoner
+from core_perception.reasoners.fixed_reasoner import load_rules
 from core_perception.reasoners.ontology_reasoner import OntologyReasoner
 
 SEED = int(os.environ.get("CORE_SEED", "0"))
@@ -316,10 +319,29 @@ def test_fixed_reasoners_say_the_same_whatever_is_seen(name, config_dir):
 
 
 @pytest.mark.parametrize(
-    "text", ["[]", "rules: []", "{justification: x, rules: [ON(floor)]}", "{justification: x, rules: []}", "a: ["]
+    "text",
+    [
+        "[]",
+        "rules: []",
+        "{justification: x, rules: [ON(floor)]}",
+        "{justification: x, rules: []}",
+        'justification: "\\ud800"\nrules: [NEAR(x)]',
+        "a: [",
+    ],
 )
 def test_wrong_rules_files_are_refused_with_their_path(tmp_path, config_dir, text):
     path = tmp_path / "rules.yaml"
     path.write_text(text)
     with pytest.raises(PerceptionError, match=str(path)):
         make_reasoner(ReasonerParams.from_dict({"reasoner": "static", "rules_file": str(path)}), config_dir)
+
+
+@pytest.mark.parametrize("text", ["a: 2001-13-01", "[" * 5000])
+@pytest.mark.parametrize(
+    "load", [load_rules, load_rows, Ontology.load, PromptTemplate.load], ids=["rules", "rows", "ontology", "prompt"]
+)
+def test_what_yaml_itself_stumbles_over_is_refused_with_the_path(tmp_path, load, text):
+    path = tmp_path / "file.yaml"
+    path.write_text(text)
+    with pytest.raises(PerceptionError, match=str(path)):
+        load(path)

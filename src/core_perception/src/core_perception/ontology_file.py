@@ -43,7 +43,7 @@ def read_file(path) -> OntologyTables:
     """
     try:
         data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise OntologyError(f"{path}: cannot be read as YAML: {' '.join(str(error).split())}") from error
     try:
         return read_tables(data)

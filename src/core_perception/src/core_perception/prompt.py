@@ -82,7 +82,7 @@ class PromptTemplate:
         """
         try:
             parts = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
             raise PerceptionError(f"{path}: cannot be read as YAML: {' '.join(str(error).split())}") from error
         if not isinstance(parts, dict) or set(parts) != set(PARTS):
             got = sorted(map(str, parts)) if isinstance(parts, dict) else parts

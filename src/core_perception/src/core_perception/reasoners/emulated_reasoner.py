@@ -109,7 +109,7 @@ def load_rows(path) -> Dict[str, EmulatedRow]:
             name: _read(EmulatedRow, name, entry, {"name": name, "shares": shares})
             for name, entry in data["rows"].items()
         }
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, ParameterError) as error:
+    except (OSError, ValueError, RecursionError, yaml.YAMLError, ParameterError) as error:
         raise PerceptionError(f"{path}: {' '.join(str(error).split())}") from error
 
 

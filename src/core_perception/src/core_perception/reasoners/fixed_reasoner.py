@@ -55,6 +55,8 @@ def load_rules(path) -> FixedReasoner:
         data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
         if not isinstance(data, dict) or set(data) != {"justification", "rules"} or not isinstance(data["rules"], list):
             raise PredicateError("got other keys, allowed exactly justification (text) and rules (list)")
-        return FixedReasoner("static", [parse_predicate(rule) for rule in data["rules"]], str(data["justification"]))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, PredicateError) as error:
+        justification = str(data["justification"])
+        justification.encode("utf-8")  # half of a surrogate pair would fail later, in every message
+        return FixedReasoner("static", [parse_predicate(rule) for rule in data["rules"]], justification)
+    except (OSError, ValueError, RecursionError, yaml.YAMLError, PredicateError) as error:
         raise PerceptionError(f"{path}: {' '.join(str(error).split())}") from error
