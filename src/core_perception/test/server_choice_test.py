@@ -49,6 +49,7 @@ def test_ollama_is_taken_where_it_has_a_model_that_sees(models, model, taken):
         ({"alias:1": PASSED_ON}, "", "alias:1 runs on another machine"),
         ({"big:27b-cloud": SEES}, "big:27b-cloud", "runs on another machine"),
         ({"m%d:1" % k: READS for k in range(9)}, "", "and 6 more"),
+        ({"m" * 300: SEES, "two\nlines": SEES, " ": SEES}, "", "does not have any model"),
     ],
 )
 def test_the_ontology_is_taken_otherwise_and_the_reason_is_told(models, model, reason):

@@ -12,6 +12,7 @@ from core_perception.reasoners.server_words import read_object
 
 #: Limit of these replies: a description of a model lists its tensors and quotes its licence.
 MAX_SURVEY_BYTES = 16 << 20
+LONGEST_MODEL_NAME = 256
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ def tags_request() -> HttpRequest:
 
 
 def read_tags(status: int, body: bytes, request: HttpRequest) -> Tuple[OllamaModel, ...]:
-    """Read the reply to tags_request().
+    """Read the reply to tags_request(); a name that no model can have is left out.
 
     Raises:
         ServerError: it is no such list.
@@ -43,7 +44,7 @@ def read_tags(status: int, body: bytes, request: HttpRequest) -> Tuple[OllamaMod
     models = read_object(status, body, request, "").get("models")
     if not isinstance(models, list) or not all(isinstance(m, dict) and isinstance(m.get("name"), str) for m in models):
         raise ServerError("bad_reply", "this is not Ollama's list of models")
-    return tuple(_model(m["name"], m) for m in models)
+    return tuple(_model(m["name"], m) for m in models if is_model_name(m["name"]))
 
 
 def show_request(model: str) -> HttpRequest:
@@ -58,6 +59,11 @@ def read_show(status: int, body: bytes, request: HttpRequest, model: str) -> Oll
         ServerError: there is no such model.
     """
     return _model(model, read_object(status, body, request, model))
+
+
+def is_model_name(text: str) -> bool:
+    """Whether a model can be called so, in a request and in a line for a person."""
+    return 0 < len(text) <= LONGEST_MODEL_NAME and text.isprintable() and text.strip() == text
 
 
 def is_passed_on(model: str) -> bool:

@@ -16,12 +16,11 @@ from typing import Any, ClassVar, Dict, List, Mapping, Optional, Tuple
 
 from core_perception.exceptions import ParameterError, ServerError
 from core_perception.http_exchange import HttpRequest
-from core_perception.reasoners.ollama_models import read_show, show_request
+from core_perception.reasoners.ollama_models import is_model_name, read_show, show_request
 from core_perception.reasoners.server_words import check_finish, logprobs_of, read_object, text_of
 
 DURATION = re.compile(r"-?\d+\Z|(\d+(\.\d+)?(ms|s|m|h))+\Z")
 ENVIRONMENT_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
-LONGEST_MODEL_NAME = 256
 
 
 @dataclass(frozen=True)
@@ -274,9 +273,7 @@ class OpenAiWire:
 
 
 def _check_model(wire) -> None:
-    if not (
-        0 < len(wire.model) <= LONGEST_MODEL_NAME and wire.model.isprintable() and wire.model.strip() == wire.model
-    ):
+    if not is_model_name(wire.model):
         raise ParameterError("model", wire.model, "the name of a model")
     if wire.max_tokens < 1:
         raise ParameterError("max_tokens", wire.max_tokens, ">= 1")
