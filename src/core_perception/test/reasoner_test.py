@@ -345,3 +345,12 @@ def test_what_yaml_itself_stumbles_over_is_refused_with_the_path(tmp_path, load,
     path.write_text(text)
     with pytest.raises(PerceptionError, match=str(path)):
         load(path)
+
+
+@pytest.mark.parametrize("load", [load_rows, Ontology.load, PromptTemplate.load], ids=["rows", "ontology", "prompt"])
+def test_a_file_of_another_kind_is_refused_without_being_told_as_a_whole(tmp_path, load):
+    path = tmp_path / "file.yaml"
+    path.write_text("You are a safety officer. " * 100 + "The end.")
+    with pytest.raises(PerceptionError, match="You are a safety officer") as error:
+        load(path)
+    assert "The end." not in str(error.value)

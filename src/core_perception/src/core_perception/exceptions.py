@@ -1,6 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Errors a user can cause, each with one line that says what is wrong and what is allowed."""
 
+LONGEST_QUOTE = 200
+
+
+def quote(value) -> str:
+    """What somebody wrote, in a message: the beginning is enough, and all of it might be a whole file."""
+    text = repr(value)
+    return text if len(text) <= LONGEST_QUOTE else text[: LONGEST_QUOTE - 1] + "\u2026"
+
 
 class PerceptionError(Exception):
     """Root of every error of this package."""
@@ -18,7 +26,7 @@ class ParameterError(PerceptionError, ValueError):
     def __init__(self, key: str, value, allowed: str):
         """Keep the three parts and compose the one line."""
         self.key, self.value, self.allowed = key, value, allowed
-        super().__init__(f"{key}: got {value!r}, allowed {allowed}")
+        super().__init__(f"{key}: got {quote(value)}, allowed {allowed}")
 
 
 class PredicateError(PerceptionError, ValueError):

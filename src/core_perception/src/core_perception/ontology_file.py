@@ -10,7 +10,7 @@ from typing import FrozenSet, Mapping
 
 import yaml
 
-from core_perception.exceptions import OntologyError, PredicateError
+from core_perception.exceptions import OntologyError, PredicateError, quote
 from core_perception.ontology_types import SURFACES, WITH_RADIUS, Category, OntologyClass
 from core_perception.predicates import MAX_RADIUS_M, canonical_class_name
 from core_perception.wordnet import CONCRETE_FILES
@@ -62,7 +62,7 @@ def read_tables(data: dict) -> OntologyTables:
     expected = {"radius_m", "hazard_words", "wordnet"} | {category.value for category in Category}
     if not isinstance(data, dict) or set(data) != expected:
         got = sorted(map(str, data)) if isinstance(data, dict) else data
-        raise OntologyError(f"top level: got {got}, allowed exactly {', '.join(sorted(expected))}")
+        raise OntologyError(f"top level: got {quote(got)}, allowed exactly {', '.join(sorted(expected))}")
     radii = _read_default_radii(data["radius_m"])
     classes, aliases = {}, {}
     for category in Category:
@@ -79,13 +79,13 @@ def read_tables(data: dict) -> OntologyTables:
 
 def _mapping(value, key):
     if not isinstance(value, dict):
-        raise OntologyError(f"{key}: got {value!r}, allowed a mapping")
+        raise OntologyError(f"{key}: got {quote(value)}, allowed a mapping")
     return value
 
 
 def _names(value, key):
     if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
-        raise OntologyError(f"{key}: got {value!r}, allowed a list of names")
+        raise OntologyError(f"{key}: got {quote(value)}, allowed a list of names")
     return value
 
 
@@ -106,7 +106,7 @@ def _read_radius(value, key):
         or not isinstance(value, (int, float))
         or not (math.isfinite(value) and 0.0 < value <= MAX_RADIUS_M)
     ):
-        raise OntologyError(f"{key}: got {value!r}, allowed 0 < radius <= {MAX_RADIUS_M} m")
+        raise OntologyError(f"{key}: got {quote(value)}, allowed 0 < radius <= {MAX_RADIUS_M} m")
     return float(value)
 
 

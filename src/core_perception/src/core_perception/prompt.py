@@ -12,7 +12,7 @@ from typing import Mapping, Sequence
 
 import yaml
 
-from core_perception.exceptions import PerceptionError
+from core_perception.exceptions import PerceptionError, quote
 
 PARTS = (
     "role",
@@ -86,10 +86,10 @@ class PromptTemplate:
             raise PerceptionError(f"{path}: cannot be read as YAML: {' '.join(str(error).split())}") from error
         if not isinstance(parts, dict) or set(parts) != set(PARTS):
             got = sorted(map(str, parts)) if isinstance(parts, dict) else parts
-            raise PerceptionError(f"{path}: got {got}, allowed exactly {', '.join(PARTS)}")
+            raise PerceptionError(f"{path}: got {quote(got)}, allowed exactly {', '.join(PARTS)}")
         for name, text in parts.items():
             if not isinstance(text, str) or not text.strip():
-                raise PerceptionError(f"{path}: {name}: got {text!r}, allowed text")
+                raise PerceptionError(f"{path}: {name}: got {quote(text)}, allowed text")
         return cls(parts, safety_logic, chain_of_thought)
 
     def compose(self, guidelines: Sequence[str] = (), picture: bool = True) -> Prompt:
