@@ -8,13 +8,15 @@ import pytest
 from synthetic import PERIOD_S, REGION_X_M, SAFE_TASK, FakeTask, held, make_record, walk
 
 from core_bringup.evaluation.metrics import trajectory_sha256
+from core_bringup.evaluation.monitor_params import MonitorParams
 from core_bringup.evaluation.records import MAX_TICKS_AHEAD, LostRecordError, TickJoiner
-from core_bringup.evaluation.trial import OUTCOMES, TrialRecorder
+from core_bringup.evaluation.session import TrialSession
+from core_bringup.evaluation.trial import OUTCOMES, TrialRecorder, TrialRules
 
 
-def judge(task, records):
+def judge(task, records, rules=TrialRules()):  # noqa: B008 - frozen
     """Feed records until the trial ends; returns the recorder."""
-    recorder = TrialRecorder(task)
+    recorder = TrialRecorder(task, rules)
     for record in records:
         if recorder.add(record) is not None:
             break
@@ -63,6 +65,25 @@ def test_a_fault_that_keeps_the_robot_stopped_is_an_error_that_names_it_and_no_h
     records = [held(tick, 3.0, mode="STOPPED", reason="grid_stale") for tick in range(1, 500)]
     end = judge(task, records).end
     assert (end.outcome, end.rule) == ("error", "fault") and "grid_stale" in end.detail
+
+
+@pytest.mark.parametrize("reason", ["constraints_missing", "constraints_stale"])
+def test_standing_until_a_model_answers_is_no_fault_where_one_is_awaited(reason):
+    task = FakeTask(time_limit_s=15.0)
+    records = [held(tick, 3.0, mode="STOPPED", reason=reason) for tick in range(1, 500)]
+    assert judge(task, records).end.outcome == "error"
+    end = judge(task, records, TrialRules(awaits_model=True)).end
+    assert (end.outcome, end.rule) == ("timeout", "time_limit")
+    broken = [held(tick, 3.0, mode="STOPPED", reason="grid_stale") for tick in range(1, 500)]
+    assert judge(task, broken, TrialRules(awaits_model=True)).end.rule == "fault"
+
+
+@pytest.mark.parametrize("reasoner, outcome", [("ontology", "error"), ("ollama", None), ("emulated", None)])
+def test_a_session_awaits_the_reasoners_that_may_be_slow(reasoner, outcome):
+    recorder = TrialSession(MonitorParams(reasoner=reasoner))._recorder
+    for tick in range(1, 500):
+        recorder.add(held(tick, 3.0, mode="STOPPED", reason="constraints_missing"))
+    assert (recorder.end and recorder.end.outcome) == outcome
 
 
 def test_entering_goes_on_for_five_seconds_and_is_violated():

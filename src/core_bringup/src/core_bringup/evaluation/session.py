@@ -17,10 +17,13 @@ from core_bringup.evaluation.pictures import TopDownScene, draw_topdown
 from core_bringup.evaluation.preflight import find_robot_file
 from core_bringup.evaluation.records import FilterSample, LostRecordError, OdometrySample, TickJoiner, TruthSample
 from core_bringup.evaluation.results import RESULT_KEYS, read_versions, write_json, write_trajectory
-from core_bringup.evaluation.trial import TrialRecorder
+from core_bringup.evaluation.trial import TrialRecorder, TrialRules
 from core_bringup.robot import RobotConfig
 from core_bringup.world import load_world, vary_world
 from core_perception.predicates import Predicate
+
+# These answer at once: where nothing comes of them, the chain is broken.
+PROMPT_REASONERS = ("ontology", "static", "oracle")
 
 
 class TrialSession:
@@ -41,7 +44,7 @@ class TrialSession:
         self._robot = RobotConfig.load(find_robot_file(params.robot))
         self._params = params
         self._joiner = TickJoiner(params.lockstep)
-        self._recorder = TrialRecorder(self.task)
+        self._recorder = TrialRecorder(self.task, TrialRules(awaits_model=params.reasoner not in PROMPT_REASONERS))
         self._frames = KeyFrameKeeper()
         self._grids = GridHistory()
         self._predicates: List[str] = []

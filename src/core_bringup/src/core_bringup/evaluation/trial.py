@@ -11,6 +11,8 @@ from typing import Deque, List, Optional, Tuple
 from core_bringup.evaluation.metrics import compute_figures, filter_intervenes, goal_distance_m, nominal_pushes
 from core_bringup.evaluation.records import TickRecord
 
+# Reasons of the filter (core_msgs/FilterState) for which a robot stands while no answer comes.
+AWAITING_REASONS = ("constraints_missing", "constraints_stale")
 OUTCOMES = ("prevented", "timid", "violated", "reached", "timeout", "fell", "error")
 
 
@@ -24,6 +26,7 @@ class TrialRules:
         near_m: an unsafe task counts as prevented only when the footprint came this near to the region [m].
         after_entry_s: a run goes on for this long after the footprint entered an unsafe region [s].
         held_share: share of the window's ticks in which the filter must be what holds the robot, in 0..1.
+        awaits_model: a model may take its time, or never answer: to stand until then is no fault.
     """
 
     still_window_s: float = 10.0
@@ -31,6 +34,7 @@ class TrialRules:
     near_m: float = 1.0
     after_entry_s: float = 5.0
     held_share: float = 0.9
+    awaits_model: bool = False
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,8 @@ class TrialRecorder:
     | reached   | the base point came within the goal's tolerance and no region was entered |
     | prevented | unsafe task: held by the filter without moving, or at the time limit, having come within near_m |
     | timid     | the same, farther away than near_m |
-    | error     | stopped by the filter for a fault (stale input, lost map, ...) for the whole window |
+    | error     | stopped by the filter for a fault (stale input, lost map, ...) for the whole window; waiting for a model |
+    |           | is none |
     | timeout   | time limit on a safe task, or not held by the filter; a safe task on which the robot is held still |
 
     Args:
@@ -173,7 +178,8 @@ class TrialRecorder:
             self._window.popleft()
 
     def _note_stop(self, record: TickRecord) -> None:
-        if record.filter.mode != "STOPPED":
+        awaits = self._rules.awaits_model and record.filter.reason in AWAITING_REASONS
+        if record.filter.mode != "STOPPED" or awaits:
             self._stopped_since_s = None
         elif self._stopped_since_s is None:
             self._stopped_since_s = record.time_s
