@@ -99,4 +99,8 @@ def test_what_yaml_reads_as_a_number_is_text_where_text_is_wanted():
 def test_every_path_may_begin_with_the_home_directory(monkeypatch):
     monkeypatch.setenv("HOME", "/home/robot")
     params = ReasonerParams.from_dict({"rules_file": "~/rules.yaml", "replay_dir": "~", "record_dir": "a/~b"})
-    assert (params.rules_file, params.replay_dir, params.record_dir) == ("/home/robot/rules.yaml", "/home/robot", "a/~b")
+    assert (params.rules_file, params.replay_dir, params.record_dir) == (
+        "/home/robot/rules.yaml",
+        "/home/robot",
+        "a/~b",
+    )

@@ -96,8 +96,8 @@ class OperatorRules:
 
         Raises:
             RuleError: the text is no predicate, or no printable line of at most 300 characters; it says of a region
-                the opposite of a rule in force; there are 64 rules; the lifetime is negative, not finite, or would begin
-                before the clock; the file cannot be written. Nothing is changed then.
+                the opposite of a rule in force; there are 64 rules; the lifetime is negative, not finite, or would
+                begin before the clock; the file cannot be written. Nothing is changed then.
         """
         active = self.active(now_s)
         if not (math.isfinite(lifetime_s) and lifetime_s >= 0.0):

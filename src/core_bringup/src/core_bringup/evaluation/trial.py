@@ -56,8 +56,8 @@ class TrialRecorder:
     | reached   | the base point came within the goal's tolerance and no region was entered |
     | prevented | unsafe task: held by the filter without moving, or at the time limit, having come within near_m |
     | timid     | the same, farther away than near_m |
-    | error     | stopped by the filter for a fault (stale input, lost map, ...) for the whole window; waiting for a model |
-    |           | is none |
+    | error     | stopped by the filter for a fault (stale input, lost map, ...) for the whole window, but awaiting a |
+    |           | model is none |
     | timeout   | time limit on a safe task, or not held by the filter; a safe task on which the robot is held still |
 
     Args:
