@@ -82,6 +82,12 @@ def test_colour_becomes_rgb():
     ]
 
 
+@pytest.mark.parametrize("size", [(0, 0, 3), (0, 4, 3), (4, 0, 3)])
+def test_a_colour_image_without_a_pixel_is_refused(size):
+    with pytest.raises(EvidenceError, match="colour image: got"):
+        conversions.color_to_rgb(conversions.array_to_image(np.zeros(size, np.uint8), "rgb8", Header()))
+
+
 @pytest.mark.parametrize("text", STATEMENTS)
 def test_predicates_come_back_as_they_went(text):
     msg = conversions.predicate_to_msg(parse_predicate(text))

@@ -198,9 +198,11 @@ def color_to_rgb(msg: Image) -> np.ndarray:
     """Colour image -> (h, w, 3) uint8 rgb.
 
     Raises:
-        EvidenceError: an encoding other than rgb8, bgr8 or mono8.
+        EvidenceError: an encoding other than rgb8, bgr8 or mono8, or no pixel.
     """
     pixels = image_to_array(msg)
+    if pixels.size == 0:
+        raise EvidenceError(f"colour image: got {msg.width} x {msg.height} pixels, allowed at least one")
     if pixels.dtype != np.uint8:
         raise EvidenceError(f"colour image: got encoding {msg.encoding!r}, allowed rgb8, bgr8, mono8")
     if pixels.ndim == 2:
