@@ -24,6 +24,7 @@ from core_perception import http_exchange
 from core_perception.endpoint import Endpoint
 from core_perception.exceptions import EndpointError, EvidenceError, ReplyError, ServerError
 from core_perception.predicates import parse_predicate
+from core_perception.reasoners.loading_client import LoadingClient
 from core_perception.reasoners.vlm_client import SERVER_CAUSES, BackOff, VlmClient, encode_image
 from core_perception.reasoners.wire import OllamaWire, OpenAiWire
 from core_perception.reply_parser import parse_reply
@@ -444,12 +445,17 @@ def test_a_model_is_held_to_be_loaded_until_the_server_gives_reason_to_doubt_it(
         assert not client.is_loaded
 
 
-@both_wires
-def test_a_probe_tells_within_two_seconds_whether_anybody_answers_and_loads_nothing(server, wire):
-    client = client_of(server.url, wire)
-    assert 0.0 < client.probe() < SLACK_S
+def test_a_probe_tells_within_two_seconds_whether_the_model_is_loaded_and_loads_nothing(server):
+    client = client_of(server.url)
+    assert not client.probe()
     assert not client.is_loaded
     assert server.models.loads == 0
+    ask(client)
+    assert client.probe()
+    # Another context means that the next question loads the model anew.
+    wire = OllamaWire(client._wire.model, context_tokens=client._wire.context_tokens * 2)
+    assert not client_of(server.url, wire).probe()
+    assert not client_of(server.url, OllamaWire("absent")).probe()
     server.set_fault("hang", scope="all")
     begun_s = time.monotonic()
     with pytest.raises(ServerError, match="timeout") as caught:
@@ -457,9 +463,30 @@ def test_a_probe_tells_within_two_seconds_whether_anybody_answers_and_loads_noth
     assert 2.0 <= caught.value.latency_s <= time.monotonic() - begun_s < 2.0 + SLACK_S
 
 
-def test_a_server_with_no_page_for_a_probe_is_taken_to_answer():
+def test_a_server_that_does_not_tell_is_taken_to_have_nothing_loaded():
     with RawServer(b"HTTP/1.1 404 Not Found\r\n\r\n") as raw:
-        assert client_of(raw.url).probe() < SLACK_S
+        assert not client_of(raw.url).probe()
+
+
+def test_a_model_that_is_loaded_and_hangs_is_waited_for_no_longer_than_an_answer(server):
+    client = client_of(server.url)
+    loading = LoadingClient(client)
+    loading.ask("s", "u", None, None)
+    server.set_fault("hang")
+    begun_s = time.monotonic()
+    for _ in range(2):
+        with pytest.raises(ServerError, match="timeout"):
+            loading.ask("s", "u", None, None)
+    assert time.monotonic() - begun_s < 2.0 * (client._deadline_s + SLACK_S)
+    server.set_fault("ok")
+    assert loading.ask("s", "u", None, None).finish == "stop"
+
+
+def test_a_model_that_is_not_loaded_is_loaded_first_and_that_counts_as_latency():
+    with FakeModelServer(load_s=1.2) as server:
+        client = VlmClient(OllamaWire("gemma3:27b"), Endpoint.parse(server.url), 0.8, 10.0)
+        assert LoadingClient(client).ask("s", "u", None, None).latency_s >= 1.2
+        assert server.models.loads == 1
 
 
 @both_wires

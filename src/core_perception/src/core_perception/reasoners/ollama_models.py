@@ -61,6 +61,25 @@ def read_show(status: int, body: bytes, request: HttpRequest, model: str) -> Oll
     return _model(model, read_object(status, body, request, model))
 
 
+def is_running(status: int, body: bytes, request: HttpRequest, model: str, context_tokens: int) -> bool:
+    """Read the reply to GET /api/ps: whether a model is loaded with this context; False where it does not say so."""
+    try:
+        models = read_object(status, body, request, model).get("models")
+    except ServerError:
+        return False
+    entries = [m for m in models if isinstance(m, dict)] if isinstance(models, list) else []
+    return any(
+        full_name(str(m.get("name"))) == full_name(model) and m.get("context_length", context_tokens) == context_tokens
+        for m in entries
+    )
+
+
+def full_name(model: str) -> str:
+    """A name with its tag; Ollama takes ``latest`` where none is given."""
+    name = model.lower()
+    return name if ":" in name.rpartition("/")[2] else name + ":latest"
+
+
 def is_model_name(text: str) -> bool:
     """Whether a model can be called so, in a request and in a line for a person."""
     return 0 < len(text) <= LONGEST_MODEL_NAME and text.isprintable() and text.strip() == text

@@ -13,6 +13,7 @@ from core_perception.http_exchange import HttpExchange, HttpRequest
 from core_perception.reasoners.ollama_models import (
     MAX_SURVEY_BYTES,
     OllamaModel,
+    full_name,
     read_show,
     read_tags,
     show_request,
@@ -51,7 +52,7 @@ def choose_server(endpoint: Endpoint, model: str = "", limit_s: float = 2.0) -> 
         installed = survey.models()
     except ServerError as error:
         return ServerChoice("ontology", "", f"no Ollama answers at {endpoint.url} ({error})")
-    wanted = [m for m in installed if not model or _full_name(m.name) == _full_name(model)]
+    wanted = [m for m in installed if not model or full_name(m.name) == full_name(model)]
     if not wanted:
         missing = f"model {model}" if model else "any model"
         return ServerChoice("ontology", "", f"Ollama answers at {endpoint.url} but does not have {missing}")
@@ -92,12 +93,6 @@ class _Survey:
 
     def _run(self, request: HttpRequest):
         return HttpExchange(self._endpoint, request, MAX_SURVEY_BYTES).run(self._deadline_s - time.monotonic())
-
-
-def _full_name(model: str) -> str:
-    """A name with its tag; Ollama takes ``latest`` where none is given."""
-    name = model.lower()
-    return name if ":" in name.rpartition("/")[2] else name + ":latest"
 
 
 def _in_short(refusals: Sequence[str]) -> str:

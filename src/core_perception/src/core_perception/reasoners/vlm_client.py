@@ -128,18 +128,16 @@ class VlmClient:
             self._is_loaded = True
             return replace(reply, latency_s=time.monotonic() - begun_s)
 
-    def probe(self) -> float:
-        """See whether anybody answers there at all, within two seconds.
-
-        Returns:
-            Time it took [s].
+    def probe(self) -> bool:
+        """Ask Ollama whether the model is loaded there, within two seconds.
 
         Raises:
-            ServerError: nobody does; a server that hangs must not be waited for as long as for a model to load.
+            ServerError: nobody answers; a server that hangs must not be waited for as long as for a model to load.
         """
         with self._in_turn(PROBE_LIMIT_S) as deadline_s:
-            self._run(HttpRequest("GET", "/health"), deadline_s)  # any reply will do, and this one is short
-            return time.monotonic() - deadline_s + PROBE_LIMIT_S
+            request = self._wire.presence()
+            status, body = self._run(request, deadline_s)
+            return self._wire.read_presence(status, body, request)
 
     def preload(self) -> ModelReply:
         """Have the server load the model, and wait; call it in the background before the first ask().

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Dict, List, Mapping, Optional, Tuple
 
 from core_perception.exceptions import ParameterError, ServerError
 from core_perception.http_exchange import HttpRequest
-from core_perception.reasoners.ollama_models import is_model_name, read_show, show_request
+from core_perception.reasoners.ollama_models import is_model_name, is_running, read_show, show_request
 from core_perception.reasoners.server_words import check_finish, logprobs_of, read_object, text_of
 
 DURATION = re.compile(r"-?\d+\Z|(\d+(\.\d+)?(ms|s|m|h))+\Z")
@@ -142,6 +142,14 @@ class OllamaWire:
         if reply.get("done") is not True or reply.get("done_reason") not in ("load", None):
             raise ServerError("unfinished", "the server did not load the model")
         return ModelReply("", finish="load")
+
+    def presence(self) -> HttpRequest:
+        """The request that tells whether the model is loaded."""
+        return HttpRequest("GET", "/api/ps")
+
+    def read_presence(self, status: int, body: bytes, request: HttpRequest) -> bool:
+        """Read the reply to presence(); False where the server does not say so, or holds another context."""
+        return is_running(status, body, request, self.model, self.context_tokens)
 
     def whereabouts(self) -> Optional[HttpRequest]:
         """The request that tells whether the model runs on the server itself."""
