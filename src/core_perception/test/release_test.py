@@ -310,9 +310,15 @@ def test_newest_answer_reasons_once_per_evidence_and_keeps_its_stamp():
     assert [newest.at(now).image_stamp_ns for now in (25, 30, 90)] == [20, 20, 20]
     assert newest.at(90).latency_ns == 5
     assert reasoner.seen == [20]
-    newest.add_evidence(Evidence(3))
-    assert newest.at(4).image_stamp_ns == 3
-    assert reasoner.resets == 1
+
+
+def test_newest_answer_forgets_when_the_clock_goes_back_and_not_when_a_frame_comes_late():
+    reasoner = CountingReasoner()
+    newest = NewestAnswer(reasoner, Findings(reasoner))
+    for stamp_s, stated_s, resets in [(5.0, 5.0, 0), (4.001, 5.0, 0), (5.1, 5.1, 0), (4.1, 4.1, 1), (4.2, 4.2, 1)]:
+        newest.add_evidence(Evidence(round(stamp_s * 1e9)))
+        assert newest.at(6 * 10**9).image_stamp_ns == round(stated_s * 1e9)
+        assert reasoner.resets == resets
 
 
 def test_newest_answer_waits_for_a_latency_that_was_drawn_and_asks_about_nothing_meanwhile():

@@ -10,6 +10,9 @@ from core_perception.asking import Asking, Findings
 from core_perception.predicates import Constraints
 from core_perception.reasoners.base import Evidence, Reasoner
 
+# Stamps of a camera may stumble by less than this; a clock that was set back, or a world that began anew, goes farther.
+STUMBLE_NS = 1_000_000_000
+
 
 class NewestAnswer:
     """Asks about the newest evidence, one question at a time; image_stamp_ns tells the age of what is stated.
@@ -39,8 +42,13 @@ class NewestAnswer:
         self._discarded, self._asking = self._asking or self._discarded, None
 
     def add_evidence(self, evidence: Evidence) -> None:
-        """Take in the evidence of a frame; a stamp that goes back forgets what was answered."""
+        """Take in the evidence of a frame; a stamp that goes back forgets what was answered, if by a second or more.
+
+        One that goes back by less is left out: hazards out of view must not be lost by a frame that came late.
+        """
         if self._newest_ns is not None and evidence.stamp_ns < self._newest_ns:
+            if evidence.stamp_ns > self._newest_ns - STUMBLE_NS:
+                return
             self.forget_answers()
         self._newest_ns = evidence.stamp_ns
         self._evidence = evidence
