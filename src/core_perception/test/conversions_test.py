@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rospy")
+import rospy  # noqa: E402
 from core_msgs.msg import InstanceArray, LabelClass, LabelInfo, SafetyGrid  # noqa: E402
 from core_msgs.msg import Predicate as PredicateMsg  # noqa: E402
 from fake_chain import cone_instance  # noqa: E402
@@ -18,7 +19,7 @@ from std_msgs.msg import Header  # noqa: E402
 
 from core_perception.exceptions import EvidenceError, PredicateError  # noqa: E402
 from core_perception.predicates import Constraints, parse_predicate  # noqa: E402
-from core_perception.ros import conversions  # noqa: E402
+from core_perception.ros import conversions, operator_services  # noqa: E402
 
 STATEMENTS = (
     "ON(floor)=safe",
@@ -154,3 +155,9 @@ def test_transforms_become_matrices():
     np.testing.assert_allclose(matrix @ [1.0, 0.0, 0.0, 1.0], [1.0, 3.0, 3.0, 1.0], atol=1e-12)
     with pytest.raises(EvidenceError, match="quaternion"):
         conversions.transform_to_matrix(Transform())
+
+
+@pytest.mark.parametrize("now, expected_s", [(rospy.Time(0), None), (rospy.Time(12, 500_000_000), 12.5)])
+def test_a_simulated_clock_that_has_not_begun_tells_no_time(monkeypatch, now, expected_s):
+    monkeypatch.setattr(rospy.Time, "now", staticmethod(lambda: now))
+    assert operator_services._now_s() == expected_s
