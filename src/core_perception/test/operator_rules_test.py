@@ -118,6 +118,13 @@ def test_there_are_at_most_64_rules_and_an_expired_one_makes_room():
     assert rules.add("NEAR(car)", PREDICATE, 0.0, 10.0).id == "rule_65"
 
 
+def test_no_rule_ends_later_than_a_message_can_tell():
+    rules = load(None)
+    assert rules.add("NEAR(car)", PREDICATE, 2.0, 2.0**32 - 3.0).expires_s == 2.0**32 - 1.0
+    with pytest.raises(RuleError, match="lifetime"):
+        rules.add("NEAR(bus)", PREDICATE, 3.0, 2.0**32 - 3.0)
+
+
 def test_a_rule_ends_after_its_lifetime_and_at_once_when_removed():
     rules = in_memory("NEAR(car)")
     rules.add("NEAR(bus)", PREDICATE, 5.0, 10.0)
@@ -290,6 +297,8 @@ def test_a_good_file_is_read(path):
         {**GOOD, "saved_at_s": "soon"},
         {**GOOD, "saved_at_s": float("nan")},
         {**GOOD, "saved_at_s": [1]},
+        {**GOOD, "rules": [{**GOOD["rules"][0], "expires_s": 1.7e12}]},
+        {**GOOD, "rules": [{**GOOD["rules"][0], "expires_s": -1.0}]},
         {**GOOD, "next_number": 2},
         {**GOOD, "next_number": -3},
         {**GOOD, "next_number": 3.5},

@@ -38,6 +38,7 @@ MAX_RULES = 64
 # is no clock that went back.
 CLOCK_SLACK_S = 1.0
 MAX_FILE_BYTES = 1 << 20
+LATEST_S = 2**32  # what a message can tell
 FORMAT_VERSION = 1
 
 
@@ -100,8 +101,8 @@ class OperatorRules:
                 begin before the clock; the file cannot be written. Nothing is changed then.
         """
         active = self.active(now_s)
-        if not (math.isfinite(lifetime_s) and lifetime_s >= 0.0):
-            raise RuleError(f"lifetime: got {lifetime_s}, allowed >= 0 s, 0 for ever")
+        if not 0.0 <= lifetime_s < LATEST_S - (now_s or 0.0):
+            raise RuleError(f"lifetime: got {lifetime_s}, allowed >= 0 s, 0 for ever, and an end before {LATEST_S} s")
         if lifetime_s and now_s is None:
             raise RuleError(f"lifetime: got {lifetime_s}, allowed 0 (for ever) while the clock has not begun")
         expires_s = now_s + lifetime_s if lifetime_s else None
@@ -269,8 +270,8 @@ def _read_time(text) -> float:
         time_s = float(text)
     except (TypeError, ValueError):
         time_s = math.nan
-    if not math.isfinite(time_s):
-        raise RuleError(f"time: got {str(text)[:80]!r}, allowed seconds")
+    if not 0.0 <= time_s < LATEST_S:
+        raise RuleError(f"time: got {str(text)[:80]!r}, allowed seconds from 0 to {LATEST_S}")
     return time_s
 
 
