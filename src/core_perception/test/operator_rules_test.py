@@ -145,11 +145,12 @@ def test_numbers_are_never_given_twice(path):
     assert again.active(0.0) == () and again.add("NEAR(c)", PREDICATE, 0.0, 0.0).id == "rule_3"
 
 
-def test_rules_stand_in_front_and_win_over_answers_of_the_same_operator_and_class():
+def test_rules_stand_in_front_and_an_unsafe_one_takes_nothing_from_an_answer_that_asks_for_more():
     rules = in_memory("AROUND(person, 0.5)", "ON(grass)=safe", "NEAR(cat)")
     stated = answer("ON(floor)=safe", "AROUND(person, 2.0)", "AROUND(person, slow)", "ON(grass)=unsafe", "NEAR(person)")
     assert merged(rules, stated) == [
-        "AROUND(person, 0.5)=unsafe", "ON(grass)=safe", "NEAR(cat)=unsafe", "ON(floor)=safe", "NEAR(person)=unsafe"
+        "AROUND(person, 0.5)=unsafe", "ON(grass)=safe", "NEAR(cat)=unsafe",
+        "ON(floor)=safe", "AROUND(person, 2.0)=unsafe", "AROUND(person, slow)=unsafe", "NEAR(person)=unsafe",
     ]  # fmt: skip
 
 
@@ -168,7 +169,7 @@ def test_a_safe_rule_removes_the_unsafe_answer_and_near_or_around_make_nothing_s
 def test_no_instance_is_exempt_from_a_rule():
     exempt = {"NEAR(cone)": (1, 2), "NEAR(cone, slow)": (4,), "AROUND(cone)": (3,)}
     result = in_memory("NEAR(cone)").merge(answer("NEAR(cone)", "NEAR(cone, slow)", "AROUND(cone)", exempt=exempt), 0.0)
-    assert result.exempt == {parse_predicate("AROUND(cone)"): (3,)}
+    assert result.exempt == {parse_predicate("AROUND(cone)"): (3,), parse_predicate("NEAR(cone, slow)"): (4,)}
     assert result.instances_history_start_ns == 3
 
 

@@ -170,9 +170,10 @@ def test_an_unusable_key_is_refused_without_showing_it(monkeypatch, value):
     assert not value or value not in str(caught.value)
 
 
-def test_a_key_in_place_of_the_name_of_its_variable_is_refused_without_showing_it():
+@pytest.mark.parametrize("key", ["sk-7h15-15-53cr37", "abc53cr37"])
+def test_a_key_in_place_of_the_name_of_its_variable_is_refused_without_showing_it(key):
     with pytest.raises(ParameterError) as caught:
-        OpenAiWire("m", "sk-7h15-15-53cr37")
+        OpenAiWire("m", key)
     assert "53cr37" not in str(caught.value)
 
 

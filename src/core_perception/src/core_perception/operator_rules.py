@@ -136,17 +136,19 @@ class OperatorRules:
     def merge(self, constraints: Constraints, now_s: Optional[float]) -> Constraints:
         """Put the rules in force in front of what a reasoner states.
 
-        A rule removes what the reasoner states of the same operator and class, whatever its verdict, with its
-        exemptions; no instance is exempt from a rule. A safe NEAR or AROUND does no more than that, for these operators
+        An unsafe rule adds: it replaces a safe statement of the same operator and class, stands beside an unsafe one,
+        which may ask for more, and no instance is exempt from it. A safe rule removes what the reasoner states of the
+        same operator and class, with its exemptions; a safe NEAR or AROUND does no more than that, for these operators
         make nothing safe. Before the first answer (image_stamp_ns is None) the unsafe rules alone are added.
         """
         rules = [p for rule in self.active(now_s) for p in self._predicates_of(rule)]
         if constraints.image_stamp_ns is None:
             rules = [p for p in rules if p.verdict == Verdict.UNSAFE]
-        ruled = {_region(p) for p in rules}
-        kept = [p for p in constraints.predicates if _region(p) not in ruled]
+        ruled = {_region(p): p.verdict for p in rules}
+        stated = constraints.predicates
+        kept = [p for p in stated if _region(p) not in ruled or p.verdict == ruled[_region(p)] == Verdict.UNSAFE]
         told = [p for p in rules if p.verdict == Verdict.UNSAFE or p.operator in (Operator.ON, Operator.BETWEEN)]
-        exempt = {p: ids for p, ids in constraints.exempt.items() if _region(p) not in ruled}
+        exempt = {p: ids for p, ids in constraints.exempt.items() if p in kept and p not in told}
         return replace(constraints, predicates=tuple(dict.fromkeys((*told, *kept))), exempt=exempt)
 
     def _follow(self, now_s: Optional[float]):

@@ -20,7 +20,7 @@ from core_perception.reasoners.ollama_models import is_model_name, is_running, r
 from core_perception.reasoners.server_words import check_finish, logprobs_of, read_object, text_of
 
 DURATION = re.compile(r"-?\d+\Z|(\d+(\.\d+)?(ms|s|m|h))+\Z")
-ENVIRONMENT_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
+ENVIRONMENT_NAME = re.compile(r"[A-Z_][A-Z0-9_]*\Z")  # what has small letters may be the key itself
 
 
 @dataclass(frozen=True)
@@ -273,7 +273,7 @@ class OpenAiWire:
         if not self.api_key_env:
             return ""
         if not ENVIRONMENT_NAME.match(self.api_key_env):
-            raise ParameterError("api_key_env", "something else", "the name of an environment variable, not a key")
+            raise ParameterError("api_key_env", "something else", "the name of a variable in capitals, not a key")
         key = os.environ.get(self.api_key_env, "")
         if not key or not key.isascii() or not key.isprintable() or " " in key:
             raise ParameterError("api_key_env", self.api_key_env, "a variable that is set to a key of printable ASCII")
