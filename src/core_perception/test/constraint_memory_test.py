@@ -53,10 +53,23 @@ def test_an_unsafe_object_is_in_force_from_the_first_reply_for_every_instance(ta
 
 
 def test_everything_but_the_predicates_is_that_of_the_reply(talk):
-    talk.say("NEAR(chair)", named=("chair", "floor"))
+    talk.say("NEAR(chair)", "ON(floor)=safe", named=("chair", "floor"))
     now = talk.now
     assert (now.classes, now.justification, now.source) == (("chair", "floor"), "why", "test")
     assert (now.image_stamp_ns, now.latency_ns, now.confidence) == (7, 8, 0.5)
+
+
+def test_until_a_reply_names_ground_to_stand_on_the_statement_has_no_image_stamp(talk):
+    talk.say("NEAR(chair)", "ON(floor)=unsafe", "ON(stairs)=safe")
+    assert talk.now.image_stamp_ns is None
+    assert "NEAR(chair)=unsafe" in talk.stated
+    talk.say("ON(floor)=safe")
+    assert talk.now.image_stamp_ns == 7
+    talk.say("ON(floor)=unsafe", times=3)
+    assert "ON(floor)=unsafe" in talk.stated and talk.now.image_stamp_ns == 7
+    talk.memory.reset()
+    talk.say("NEAR(chair)")
+    assert talk.now.image_stamp_ns is None
 
 
 def test_an_instance_is_exempt_after_three_replies_in_a_row_that_saw_it_and_left_it_out(talk):

@@ -17,6 +17,8 @@ question; one that did not see it counts neither way, unless it covers, which st
     safe ON
         for classes the ontology lists as navigable, from the first reply that says so until the class is in force as
         unsafe, and again once that has left and a reply says so
+        before any reply has named such a surface the statement has no image stamp, as before the first answer: the
+        robot stands, and nothing is voted unsafe for want of a word (cells that it loses sight of would stay so)
     safe NEAR, AROUND, BETWEEN
         never stated; a safe BETWEEN is one reply that does not cover, no more
 
@@ -102,6 +104,7 @@ class ConstraintMemory:
         self._surfaces: Dict[Predicate, _Entry] = {}
         self._surface_statements: List[List[Predicate]] = []
         self._safe: Set[str] = set()
+        self._has_named_ground = False
         self._replies = 0
         self._history_start_ns: Optional[int] = None
         self._map_was_known = False
@@ -208,6 +211,7 @@ class ConstraintMemory:
         # A reply that calls a class unsafe in any way does not make it safe.
         self._safe |= {name for name in said[Verdict.SAFE] - said[Verdict.UNSAFE] if self._is_navigable(name)}
         self._safe -= {p.class_name for p in self._surfaces}
+        self._has_named_ground = self._has_named_ground or bool(self._safe)
 
     def _drop_surplus(self, view: _View):
         """Keep the number of entries bounded: what was covered longest ago goes, a class that is held or seen never."""
@@ -224,6 +228,7 @@ class ConstraintMemory:
         exempt = {p: tuple(sorted(self._exempt(entry))) for p, entry in self._objects.items() if self._exempt(entry)}
         return replace(
             reply,
+            image_stamp_ns=reply.image_stamp_ns if self._has_named_ground else None,
             predicates=tuple(sorted((*unsafe, *safe), key=_order)),
             exempt=exempt,
             instances_history_start_ns=self._history_start_ns if exempt else None,
