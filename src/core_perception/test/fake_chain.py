@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Fakes around the Python nodes: a lock-step world in front, an instance memory behind, and waiting by condition."""
 
+import contextlib
 import os
 import socket
 import subprocess
@@ -10,6 +11,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 import rospy
 import tf2_ros
 from core_msgs.msg import Instance, InstanceArray, LabelClass, LabelInfo, SafetyConstraints, SafetyGrid, Tick
@@ -40,6 +42,26 @@ def start_master():
     )
     wait_for(lambda: _accepts(port), "the ROS master")
     return master
+
+
+@contextlib.contextmanager
+def joined_graph(name):
+    """Be a node of rostest's graph, or of one with a master of its own."""
+    process = None if os.environ.get("CORE_UNDER_ROSTEST") else start_master()
+    rospy.init_node(name, disable_signals=True)
+    yield
+    rospy.signal_shutdown("tests are over")
+    if process is not None:
+        process.terminate()
+        process.wait(10.0)
+
+
+def run_as_script(file, arguments):
+    """Run the tests of a file; under rostest the last arguments name the result file, alone there are none."""
+    results = [a.split("xml:", 1)[1] for a in arguments if a.startswith("--gtest_output=xml:")]
+    if results:
+        os.environ["CORE_UNDER_ROSTEST"] = "1"
+    return pytest.main([file, "-p", "no:cacheprovider", *[f"--junitxml={path}" for path in results]])
 
 
 def _accepts(port):

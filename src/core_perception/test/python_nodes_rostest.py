@@ -3,7 +3,6 @@
 """The Python nodes against fakes. Runs under rostest (python_nodes.test), or alone with a master of its own."""
 
 import itertools
-import os
 import sys
 
 import numpy as np
@@ -16,7 +15,8 @@ from fake_chain import (
     FakeCamera,
     FakeChain,
     cone_labels,
-    start_master,
+    joined_graph,
+    run_as_script,
     start_node,
     stop_node,
     wait_for,
@@ -30,13 +30,8 @@ _namespaces = (f"test_{k}" for k in itertools.count())
 
 @pytest.fixture(scope="module", autouse=True)
 def master():
-    process = None if os.environ.get("CORE_UNDER_ROSTEST") else start_master()
-    rospy.init_node("python_nodes_rostest", disable_signals=True)
-    yield
-    rospy.signal_shutdown("tests are over")
-    if process is not None:
-        process.terminate()
-        process.wait(10.0)
+    with joined_graph("python_nodes_rostest"):
+        yield
 
 
 @pytest.fixture()
@@ -204,13 +199,5 @@ def test_overlay_tints_safe_ground_green_and_obstacles_red(chain):
     camera.close()
 
 
-def run_as_script(arguments):
-    """Under rostest the last arguments name the result file; alone there are none."""
-    results = [a.split("xml:", 1)[1] for a in arguments if a.startswith("--gtest_output=xml:")]
-    if results:
-        os.environ["CORE_UNDER_ROSTEST"] = "1"
-    return pytest.main([__file__, "-p", "no:cacheprovider", *[f"--junitxml={path}" for path in results]])
-
-
 if __name__ == "__main__":
-    sys.exit(run_as_script(sys.argv[1:]))
+    sys.exit(run_as_script(__file__, sys.argv[1:]))

@@ -4,7 +4,6 @@
 
 import itertools
 import json
-import os
 import sys
 
 import numpy as np
@@ -20,7 +19,8 @@ from fake_chain import (
     FakeChain,
     cone_labels,
     free_port,
-    start_master,
+    joined_graph,
+    run_as_script,
     start_node,
     stop_node,
     wait_for,
@@ -43,13 +43,8 @@ _namespaces = (f"reasoner_{k}" for k in itertools.count())
 
 @pytest.fixture(scope="module", autouse=True)
 def master():
-    process = None if os.environ.get("CORE_UNDER_ROSTEST") else start_master()
-    rospy.init_node("reasoner_node_rostest", disable_signals=True)
-    yield
-    rospy.signal_shutdown("tests are over")
-    if process is not None:
-        process.terminate()
-        process.wait(10.0)
+    with joined_graph("reasoner_node_rostest"):
+        yield
 
 
 class Robot:
@@ -143,6 +138,18 @@ def test_a_model_that_never_sees_the_cones_does_not_open_their_line(robot):
         robot.wait_for(lambda: len(server.chats()) > 10, "ten answers")
         assert {"BETWEEN(traffic_cone)=unsafe", "ON(floor)=safe"} <= robot.stated()
         assert robot.newest().source == "ollama+ontology"
+
+
+def test_until_a_model_names_ground_the_statement_has_no_image_stamp_and_diagnostics_say_why(robot):
+    with FakeModelServer(answer=lambda chat: json.dumps({**ANSWER, "safe_regions": []})) as server:
+        robot.start("segmenter")
+        robot.start(reasoner="ollama", model="gemma3:27b", server_url=server.url)
+        robot.wait_for(lambda: "BETWEEN(traffic_cone)=unsafe" in robot.stated(), "the answer")
+        why = "no answer has named safe ground yet: the robot does not move"
+        robot.wait_for(lambda: (robot.status() or {}).get("message") == why, "the reason")
+        assert robot.newest().image_stamp.to_nsec() == 0
+        server.answer = lambda chat: json.dumps(ANSWER)
+        robot.wait_for(lambda: robot.newest().image_stamp.to_nsec() > 0, "ground to stand on")
 
 
 def test_a_sentence_of_the_operator_is_told_to_the_model(robot):
@@ -276,13 +283,5 @@ def test_a_bad_setting_of_a_server_ends_the_node_with_one_line_and_status_2(robo
     assert message in stderr
 
 
-def run_as_script(arguments):
-    """Under rostest the last arguments name the result file; alone there are none."""
-    results = [a.split("xml:", 1)[1] for a in arguments if a.startswith("--gtest_output=xml:")]
-    if results:
-        os.environ["CORE_UNDER_ROSTEST"] = "1"
-    return pytest.main([__file__, "-p", "no:cacheprovider", *[f"--junitxml={path}" for path in results]])
-
-
 if __name__ == "__main__":
-    sys.exit(run_as_script(sys.argv[1:]))
+    sys.exit(run_as_script(__file__, sys.argv[1:]))

@@ -17,8 +17,9 @@ from core_perception.reasoners.base import Evidence
 def add_embedded(model: Constraints, embedded: Constraints) -> Constraints:
     """Return the model's statement with the unsafe predicates of the embedded rules in it.
 
-    Before the model's first answer nothing is added: it stays recognisable that there is none. An instance is exempt
-    from a predicate that both state when both exempt it. Age and latency are the model's: its silence stops the robot.
+    Before the model has named ground to stand on nothing is added: it stays recognisable that the robot waits. An
+    instance is exempt from a predicate that both state when both exempt it. Age and latency are the model's: its
+    silence stops the robot.
 
     Args:
         model: what is in force by the model's answers.

@@ -5,15 +5,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import FrozenSet, Mapping
 
-import yaml
-
-from core_perception.exceptions import OntologyError, PredicateError, quote
+from core_perception.exceptions import OntologyError, PerceptionError, PredicateError, quote
 from core_perception.ontology_types import SURFACES, WITH_RADIUS, Category, OntologyClass
 from core_perception.predicates import MAX_RADIUS_M, canonical_class_name
 from core_perception.wordnet import CONCRETE_FILES
+from core_perception.yaml_file import read_yaml
 
 
 @dataclass(frozen=True)
@@ -42,13 +40,11 @@ def read_file(path) -> OntologyTables:
         OntologyError: the file cannot be read or read_tables refuses its content; the message starts with the path.
     """
     try:
-        data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
-        raise OntologyError(f"{path}: cannot be read as YAML: {' '.join(str(error).split())}") from error
-    try:
-        return read_tables(data)
+        return read_tables(read_yaml(path))
     except OntologyError as error:
         raise OntologyError(f"{path}: {error}") from error
+    except PerceptionError as error:
+        raise OntologyError(str(error)) from error
 
 
 def read_tables(data: dict) -> OntologyTables:

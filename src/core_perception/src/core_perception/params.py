@@ -10,6 +10,8 @@ from core_perception.exceptions import ParameterError
 from core_perception.param_fields import choice, flag, number, path, read_parameters, sentences, statements, text, whole
 
 REASONERS = ("ontology", "auto", "ollama", "openai", "static", "oracle", "emulated", "replay")
+#: Of these an answer is there at once: where none comes, the chain is broken.
+PROMPT_REASONERS = ("ontology", "static", "oracle")
 
 
 @dataclass(frozen=True)

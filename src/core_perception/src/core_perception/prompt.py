@@ -7,12 +7,10 @@ Source: [CORE] appendix, VLM prompt, for the structure; Table III for the two pa
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Mapping, Sequence
 
-import yaml
-
 from core_perception.exceptions import PerceptionError, quote
+from core_perception.yaml_file import read_yaml
 
 PARTS = (
     "role",
@@ -80,10 +78,7 @@ class PromptTemplate:
         Raises:
             PerceptionError: the file cannot be read or has other content; the message starts with the path.
         """
-        try:
-            parts = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-        except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
-            raise PerceptionError(f"{path}: cannot be read as YAML: {' '.join(str(error).split())}") from error
+        parts = read_yaml(path)
         if not isinstance(parts, dict) or set(parts) != set(PARTS):
             got = sorted(map(str, parts)) if isinstance(parts, dict) else parts
             raise PerceptionError(f"{path}: got {quote(got)}, allowed exactly {', '.join(PARTS)}")

@@ -9,6 +9,8 @@ from typing import Dict, List, Mapping, Optional, Sequence
 
 from core_bringup.evaluation.trial import OUTCOMES
 
+NOBODY = "nobody, roslaunch.log says why"
+
 
 def format_progress(progress: Mapping[str, object]) -> str:
     """Distance to the goal, h, mode and the rule that binds, in one short piece of text.
@@ -28,7 +30,7 @@ def format_table(result: Mapping[str, object], folder: Path) -> str:
     """The table at the end of one run: one row per figure."""
     rows = [
         ("outcome", f"{result.get('outcome')}" + (f"  ({result['end_detail']})" if result.get("end_detail") else "")),
-        ("who answered", f"{result.get('predicates_source') or 'nobody'}  (reasoner:={result.get('reasoner')})"),
+        ("who answered", f"{result.get('predicates_source') or NOBODY}  (reasoner:={result.get('reasoner')})"),
         ("smallest clearance", _number(result.get("min_clearance_m"), "m")),
         ("stop gap", _number(result.get("stop_gap_m"), "m")),
         ("goal distance", _number(result.get("goal_distance_m"), "m")),

@@ -20,10 +20,8 @@ from core_bringup.evaluation.results import RESULT_KEYS, read_versions, write_js
 from core_bringup.evaluation.trial import TrialRecorder, TrialRules
 from core_bringup.robot import RobotConfig
 from core_bringup.world import load_world, vary_world
+from core_perception.params import PROMPT_REASONERS
 from core_perception.predicates import Predicate
-
-# These answer at once: where nothing comes of them, the chain is broken.
-PROMPT_REASONERS = ("ontology", "static", "oracle")
 
 
 class TrialSession:

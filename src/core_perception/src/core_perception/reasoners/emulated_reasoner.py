@@ -14,15 +14,13 @@ import json
 import math
 import statistics
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Dict, FrozenSet, Iterable, List, NamedTuple, Sequence
-
-import yaml
 
 from core_perception.exceptions import ParameterError, PerceptionError, PredicateError
 from core_perception.ontology import Category, Ontology
 from core_perception.predicates import Constraints, Operator, Predicate, Verdict, apply_precedence
 from core_perception.reasoners.base import Answer, Evidence, Reasoner
+from core_perception.yaml_file import read_yaml
 
 CORRELATIONS = ("independent", "scene")
 MALFORMED_CAUSE = "not_json"
@@ -100,8 +98,8 @@ def load_rows(path) -> Dict[str, EmulatedRow]:
     Raises:
         PerceptionError: the file cannot be read or has other content; the message starts with the path.
     """
+    data = read_yaml(path)
     try:
-        data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
         if not isinstance(data, dict) or set(data) != {"shares", "rows"} or not isinstance(data["rows"], dict):
             raise ParameterError("top level", data, "exactly shares and rows, both mappings")
         shares = _read(ErrorShares, "shares", data["shares"], {})
@@ -109,8 +107,8 @@ def load_rows(path) -> Dict[str, EmulatedRow]:
             name: _read(EmulatedRow, name, entry, {"name": name, "shares": shares})
             for name, entry in data["rows"].items()
         }
-    except (OSError, ValueError, RecursionError, yaml.YAMLError, ParameterError) as error:
-        raise PerceptionError(f"{path}: {' '.join(str(error).split())}") from error
+    except ParameterError as error:
+        raise PerceptionError(f"{path}: {error}") from error
 
 
 def _read(cls, name, entry, known):

@@ -36,7 +36,7 @@ class ReasonerParts:
     Attributes:
         reasoner: answers.
         ontology: canonical names of its classes.
-        memory: holds what earlier answers said; None where each answer replaces the last.
+        memory: holds what earlier answers of a reasoner that forgets said; None where each answer replaces the last.
         embedded: the embedded rules that hold besides; None for none.
         description: which reasoner answers and why that one, in one line.
     """
@@ -67,7 +67,7 @@ def make_reasoner(params: ReasonerParams, config_dir: Path, robot_name: str = ""
         params = replace(params, reasoner=choice.reasoner, model=choice.model)
         reason = f"auto chose {choice.reasoner}: {choice.reason}"
     reasoner = _make(params, config_dir, ontology, robot_name)
-    memory = ConstraintMemory(ontology, params.clear_after_replies) if reasoner.forgets and params.memory else None
+    memory = ConstraintMemory(ontology, params.clear_after_replies) if params.memory else None
     embedded = _make_ontology_reasoner(params, ontology) if reasoner.reads_image and params.embedded_rules else None
     return ReasonerParts(reasoner, ontology, memory, embedded, reason)
 

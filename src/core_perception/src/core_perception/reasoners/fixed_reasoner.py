@@ -4,14 +4,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Iterable
-
-import yaml
 
 from core_perception.exceptions import PerceptionError, PredicateError
 from core_perception.predicates import Constraints, Predicate, apply_precedence, parse_predicate
 from core_perception.reasoners.base import Answer, Evidence, Reasoner
+from core_perception.yaml_file import read_yaml
 
 
 class FixedReasoner(Reasoner):
@@ -51,12 +49,12 @@ def load_rules(path) -> FixedReasoner:
     Raises:
         PerceptionError: the file cannot be read or has other content; the message starts with the path.
     """
+    data = read_yaml(path)
     try:
-        data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
         if not isinstance(data, dict) or set(data) != {"justification", "rules"} or not isinstance(data["rules"], list):
             raise PredicateError("got other keys, allowed exactly justification (text) and rules (list)")
         justification = str(data["justification"])
         justification.encode("utf-8")  # half of a surrogate pair would fail later, in every message
         return FixedReasoner("static", [parse_predicate(rule) for rule in data["rules"]], justification)
-    except (OSError, ValueError, RecursionError, yaml.YAMLError, PredicateError) as error:
+    except ValueError as error:
         raise PerceptionError(f"{path}: {' '.join(str(error).split())}") from error

@@ -23,7 +23,8 @@ def make_diagnostics(findings: Findings, description: str, rule_count: int) -> D
     constraints = findings.constraints
     level, message = DiagnosticStatus.OK, "answering"
     if constraints.image_stamp_ns is None:
-        level, message = DiagnosticStatus.ERROR, "no answer yet: the robot does not move"
+        why = "no answer has named safe ground yet" if constraints.predicates else "no answer yet"
+        level, message = DiagnosticStatus.ERROR, f"{why}: the robot does not move"
     if findings.failures_in_row >= FAILURES_WORTH_A_WARNING:
         level = max(level, DiagnosticStatus.WARN)
         message = f"{findings.failures_in_row} answers in a row failed, the last: {findings.last_failure}"

@@ -33,6 +33,7 @@ IMAGE_BUFFER_BYTES = 2**24
 # How often a slow reasoner is looked at in a lock-step world [s], wall time.
 POLL_PERIOD_S = 0.02
 DIAGNOSTICS_PERIOD_S = 1.0
+WARNING_PERIOD_S = 10.0
 
 
 class SafetyReasonerNode:
@@ -168,7 +169,10 @@ class SafetyReasonerNode:
     def _publish_diagnostics(self):
         with self._lock:
             array = make_diagnostics(self._findings, self._description, self._rules.count())
+            failure = self._findings.last_failure if self._findings.failures_in_row else ""
         self._diagnostics.publish(array)
+        if failure:
+            rospy.logwarn_throttle(WARNING_PERIOD_S, f"safety_reasoner: no valid answer: {failure}")
 
 
 def make_schedule(params: ReasonerParams, parts: ReasonerParts, findings: Findings):
