@@ -18,8 +18,10 @@ CORE for ROS 1: contextual safety for robots, in a PyBullet world.
         --view                    with RViz;   gui:=true  with PyBullet's window
         --seeds N                 N seeds and a count of the outcomes
         --help                    every argument
+  ./core.sh evaluate [--help]     the tasks of the paper and ours, with every method: trials, table, report.html
+  ./core.sh gallery [--help]      pictures of every model and world
   ./core.sh test [NAME …]         every test: lint unit python38 cpp ros (or only the named kinds)
-  ./core.sh bench NAME [--help]   measure something against its bar; JSON in the last line: reasoning model_faults
+  ./core.sh bench NAME [--help]   measure something against its bar; JSON in the last line: reasoning model_faults render
   ./core.sh lint                  style, formatting, budgets, catkin_lint, spelling
   ./core.sh install [DIR]         catkin install space (default: install/)
   ./core.sh setup                 only install what is missing and build
@@ -171,7 +173,7 @@ command=${1:-help}
 case $command in
   help | -h | --help) usage ;;
   setup) setup; say "ready" ;;
-  demo) setup; exec python3 "$here/src/core_bringup/scripts/demo" "$@" ;;
+  demo | evaluate | gallery) setup; exec python3 "$here/src/core_bringup/scripts/$command" "$@" ;;
   test) setup; exec "$here/test/run_tests" "$@" ;;
   bench)
     name=${1:-}

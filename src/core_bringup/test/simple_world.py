@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from core_bringup.backend import RobotState
 from core_bringup.robot import RobotConfig
-from core_bringup.world_types import Lighting, Surface, World, WorldObject
+from core_bringup.world_types import Lighting, Motion, Surface, World, WorldObject
 
 ROBOT_FILE = Path(__file__).resolve().parents[1] / "config" / "robots" / "spot_like.yaml"
 ROBOT = RobotConfig.load(ROBOT_FILE)
@@ -20,6 +21,17 @@ def make_surface(label_id, corner_m, opposite_m, z_m=0.0, texture=None):
     (x0, y0), (x1, y1) = corner_m, opposite_m
     polygon = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], dtype=float)
     return Surface(label_id, f"surface_{label_id}", "floor", polygon, z_m, np.array([0.6, 0.6, 0.5, 1.0]), texture)
+
+
+def make_ramp(label_id, corner_m, opposite_m, start_z_m, end_z_m):
+    """A patch that rises along x."""
+    level = make_surface(label_id, corner_m, opposite_m, min(start_z_m, end_z_m))
+    return replace(level, corner_z_m=np.array([start_z_m, end_z_m, end_z_m, start_z_m], dtype=float))
+
+
+def make_mover(label_id, size_m, position_m, path_m, speed_mps=0.8, shape="cylinder", **motion):
+    item = make_object(label_id, size_m, position_m, shape=shape)
+    return replace(item, motion=Motion(np.array(path_m, dtype=float), speed_mps, **motion))
 
 
 def make_object(label_id, size_m, position_m, yaw_rad=0.0, shape="box", solid=True):

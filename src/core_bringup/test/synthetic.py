@@ -35,6 +35,7 @@ class FakeTask:
     goal_tolerance_m: float = 0.4
     time_limit_s: float = 40.0
     unsafe_regions: Tuple = (FakeRegion(),)
+    waypoints_m: Tuple = ((8.0, 0.0),)
 
 
 SAFE_TASK = FakeTask("open_aisle", "safe", unsafe_regions=())

@@ -14,7 +14,7 @@ from core_bringup.evaluation.grid_history import GridHistory
 from core_bringup.evaluation.key_frames import ColorImage, KeyFrameKeeper
 from core_bringup.evaluation.pictures import TopDownScene, draw_topdown, rectangle_corners, yaw_of
 from core_bringup.robot import CameraConfig, CameraMount
-from core_bringup.world_types import Surface, World, WorldObject
+from core_bringup.world_types import Surface, UnsafeRegion, World, WorldObject
 
 CAMERA = CameraConfig(10.0, CameraMount(0.5, 0.0, 0.13, 0.0, 0.25, 0.0), CameraModel())
 
@@ -58,6 +58,32 @@ def test_topdown_shows_floor_cones_path_and_robot(tmp_path, task, outcome):
     assert count_pixels(picture, (179, 0, 27)) > 200, "no barrier line"
     assert count_pixels(picture, (255, 210, 63), 30) > 500, "no robot at the end"
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 200
+
+
+@pytest.mark.parametrize("radius_m", [0.8, 1.6])
+def test_topdown_draws_discs_regions_around_objects_and_the_ways_of_objects(tmp_path, radius_m):
+    world, records = make_world(), walk(6.0, lambda t: 0.5 * t)
+    item = world.objects[0]
+    regions = (
+        UnsafeRegion("disc", "", ("ON(floor)=unsafe",), center_m=np.array([6.0, 1.0]), radius_m=radius_m),
+        UnsafeRegion("near", "", ("AROUND(traffic_cone)=unsafe",), radius_m=0.5, object_name=item.name, item=item),
+    )
+    end = (np.array([2.0, 2.0, 0.0]), 0.0)
+    way = {item.id: np.array([[4.0, -2.0], [2.0, 2.0]])}
+    plain = TopDownScene(world, FakeTask(unsafe_regions=regions), records, GridHistory(), (1.1, 0.5), "violated")
+    moved = dataclasses.replace(plain, poses={item.id: end}, ways_m=way)
+    draw_topdown(tmp_path / "plain.png", plain)
+    draw_topdown(tmp_path / "moved.png", moved)
+    before, after = read_rgb(tmp_path / "plain.png"), read_rgb(tmp_path / "moved.png")
+    way_rgb = (138, 79, 191)
+    assert count_pixels(before, way_rgb, 20) == 0 and count_pixels(after, way_rgb, 20) > 200, "no way"
+    hatched = count_pixels(before, (223, 118, 132), 25)
+    assert hatched > 300, "no regions"
+    if radius_m > 1.0:
+        smaller = dataclasses.replace(regions[0], radius_m=0.8)
+        task = FakeTask(unsafe_regions=(smaller, regions[1]))
+        draw_topdown(tmp_path / "small.png", dataclasses.replace(plain, task=task))
+        assert hatched > 1.3 * count_pixels(read_rgb(tmp_path / "small.png"), (223, 118, 132), 25)
 
 
 def test_topdown_without_a_grid_or_with_one_record_is_still_drawn(tmp_path):

@@ -15,12 +15,16 @@ BAD_WORDS = [
     ("method=core", "not of the form name:=value"),
     ("cone_line", "not of the form name:=value"),
     ("", "not of the form name:=value"),
-    ("method:=", "method: got ''; allowed: core, none"),
-    ("method:=geometric", "allowed: core, none"),
-    ("method:=CORE", "allowed: core, none"),
+    ("method:=", "method: got ''; allowed: core, oracle, no_context, geometric, none"),
+    ("method:=metric", "allowed: core, oracle"),
+    ("method:=CORE", "allowed: core, oracle"),
     ("profile:=fast", "profile: got 'fast'; allowed: core, paper"),
     ("backend:=gazebo", "backend: got 'gazebo'; allowed: pybullet, kinematic"),
     ("reasoner:=gpt", "reasoner: got 'gpt'; allowed: ontology, auto, ollama"),
+    ("reasoner:=scripted", "reasoner: got 'scripted'; allowed: ontology, auto"),
+    ("pictures:=sometimes", "pictures: got 'sometimes'; allowed: always, failed, never"),
+    ("bag:=true", "bag: got 'true'; allowed: always, failed, never"),
+    ("overrides:=", "overrides: got ''; allowed: a name or a path"),
     ("renderer:=opengl", "renderer: got 'opengl'; allowed: tiny, egl"),
     ("seed:=-1", "seed: got '-1'; allowed: a whole number from 0"),
     ("seed:=1.5", "seed: got '1.5'"),
@@ -55,11 +59,15 @@ def test_a_name_given_twice_is_refused():
     [
         (["world:=moon"], "no world 'moon'; allowed: .*warehouse"),
         (["world:=/nowhere/a.yaml"], "/nowhere/a.yaml: world: no such file"),
-        (["task:=swim"], "no task 'swim'; allowed: cone_line, open_aisle"),
+        (["task:=swim"], "no task 'swim'; allowed: .*cone_line"),
         (["robot:=tank"], "no robot 'tank'; allowed: .*spot_like"),
         (["robot:=/nowhere/robot.yaml"], "/nowhere/robot.yaml"),
         (["results:=/proc/no_such_folder"], "results: /proc/no_such_folder: .*; allowed: a folder that can be written"),
         (["backend:=kinematic", "gui:=true"], "gui: .*false with backend kinematic"),
+        (["method:=oracle", "reasoner:=ontology"], "reasoner: got 'ontology' with method oracle; allowed: oracle"),
+        (["method:=geometric", "reasoner:=ontology"], "reasoner: .*; allowed: none"),
+        (["reasoner:=none"], "reasoner: got 'none' with method core; allowed: ontology"),
+        (["method:=geometric", "profile:=paper"], "profile: got 'paper' with method geometric; allowed: core"),
     ],
 )
 def test_a_bad_file_is_refused_in_one_line(words, text, tmp_path):
@@ -83,23 +91,6 @@ def test_the_shipped_requests_pass(profile, task, tmp_path):
     request = preflight.parse_arguments([f"profile:={profile}", f"task:={task}", f"results:={tmp_path}"])
     assert preflight.check_request(request) > 0
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("package", sorted(preflight.PROFILE_READERS))
-def test_a_bad_parameter_file_is_refused(package, tmp_path, monkeypatch):
-    node = sorted(preflight.PROFILE_READERS[package])[0]
-    (tmp_path / "config").mkdir()
-    monkeypatch.setattr(preflight, "find_package_folder", lambda _package: tmp_path)
-    monkeypatch.setattr(preflight, "PROFILE_READERS", {package: preflight.PROFILE_READERS[package]})
-    path = tmp_path / "config" / "core.yaml"
-    for text in (f"{node}: {{no_such_key: 1}}", f"{node}: [1]", "- 1", "a: [", f"{node}: {{lockstep: 3}}"):
-        path.write_text(text)
-        with pytest.raises(ConfigError, match=re.escape(str(path))) as caught:
-            preflight.check_profile("core")
-        assert "\n" not in str(caught.value)
-    path.unlink()
-    with pytest.raises(ConfigError, match="No such file"):
-        preflight.check_profile("core")
 
 
 def test_defaults_are_the_demo_of_the_readme():
@@ -144,11 +135,22 @@ def test_what_the_reasoner_would_refuse_is_refused_before_anything_starts(tmp_pa
 
 
 def test_files_of_the_reasoner_reach_the_launch_file_as_absolute_paths():
-    words = ["reasoner:=replay", "replay_dir:=recording", "reasoner_params:=a.yaml"]
+    words = ["reasoner:=replay", "replay_dir:=recording", "reasoner_params:=a.yaml", "overrides:=b.yaml"]
     arguments = preflight.parse_arguments(words).launch_arguments()
     assert f"replay_dir:={Path('recording').resolve()}" in arguments
     assert f"reasoner_params:={Path('a.yaml').resolve()}" in arguments
+    assert f"overrides:={Path('b.yaml').resolve()}" in arguments
     assert "record_dir:=" in arguments
+
+
+@pytest.mark.parametrize(
+    ("method", "reasoner"),
+    [("core", "ontology"), ("oracle", "oracle"), ("no_context", "static"), ("geometric", "none"), ("none", "ontology")],
+)
+def test_every_method_has_its_usual_reasoner_and_passes(method, reasoner, tmp_path):
+    request = preflight.parse_arguments([f"method:={method}", f"results:={tmp_path}"])
+    assert request.reasoner == reasoner and f"reasoner:={reasoner}" in request.launch_arguments()
+    assert preflight.check_request(request) > 0
 
 
 @pytest.mark.parametrize(
@@ -159,7 +161,7 @@ def test_files_of_the_reasoner_reach_the_launch_file_as_absolute_paths():
         ({"seed": True}, "~seed"),
         ({"seed": "0"}, "~seed"),
         ({"lockstep": 1}, "~lockstep: got 1; allowed: true or false"),
-        ({"method": "magic"}, "~method: got 'magic'; allowed: core, none"),
+        ({"method": "magic"}, "~method: got 'magic'; allowed: core, oracle"),
         ({"stall_timeout_s": 0}, "~stall_timeout_s"),
         ({"stall_timeout_s": float("nan")}, "~stall_timeout_s"),
         ({"results": ""}, "~results"),

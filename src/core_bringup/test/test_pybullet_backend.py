@@ -4,14 +4,16 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pybullet
 import pytest
-from simple_world import ROBOT, make_object, make_surface, make_world
+from simple_world import ROBOT, make_mover, make_object, make_ramp, make_surface, make_world
 
 from core_bringup.exceptions import BringupError
+from core_bringup.motion import WorldMotion
 from core_bringup.params import PYBULLET_RATE_HZ
 from core_bringup.pybullet_backend import PybulletBackend
 from core_bringup.pybullet_scene import PybulletScene, write_urdf
@@ -34,7 +36,8 @@ def open_backend():
     opened = []
 
     def open_one(*objects, surfaces=()):
-        opened.append(PybulletBackend(make_world(*objects, surfaces=surfaces), ROBOT))
+        motion = WorldMotion(objects)
+        opened.append(PybulletBackend(make_world(*objects, surfaces=surfaces), ROBOT, motion=motion))
         return opened[-1]
 
     yield open_one
@@ -111,6 +114,88 @@ def test_walks_over_a_flat_patch(open_backend):
     states = run(backend, (0.5, 0.0, 0.0), 4.0)
     assert not any(s.fallen for s in states)
     assert states[-1].p_world_base[2] == pytest.approx(0.02 + ROBOT.quadruped.gait.body_height_m, abs=0.015)
+
+
+STAND_M = ROBOT.quadruped.gait.body_height_m
+CURB_M = 0.08
+RAISED_WALK = (
+    make_ramp(7, (1.0, -1.0), (2.2, 1.0), 0.0, CURB_M),
+    make_surface(8, (2.2, -3.0), (5.0, 3.0), z_m=CURB_M),
+    make_ramp(9, (5.0, -1.0), (6.2, 1.0), CURB_M, 0.0),
+)
+
+
+def test_walks_up_a_curb_ramp_along_a_raised_walk_and_down_again(open_backend):
+    backend = open_backend(surfaces=RAISED_WALK)
+    heights = {}
+    for state in run(backend, (0.5, 0.0, 0.0), 15.0):
+        x, y, z = state.p_world_base
+        heights[round(x, 1)] = z
+        assert not state.fallen
+        assert abs(y) < 0.1
+        assert np.arccos(1.0 - 2.0 * np.sum(state.q_world_base[:2] ** 2)) < 0.15
+    assert max(heights) > 7.0
+    assert heights[0.5] == pytest.approx(STAND_M, abs=0.015)
+    assert heights[1.6] == pytest.approx(STAND_M + 0.5 * CURB_M, abs=0.02)
+    assert heights[3.6] == pytest.approx(STAND_M + CURB_M, abs=0.015)
+    assert heights[7.0] == pytest.approx(STAND_M, abs=0.015)
+
+
+def test_steps_up_and_down_a_curb(open_backend):
+    backend = open_backend(surfaces=(make_surface(8, (0.8, -3.0), (2.5, 3.0), z_m=CURB_M),))
+    states = run(backend, (0.5, 0.0, 0.0), 9.0)
+    assert not any(s.fallen for s in states)
+    assert max(s.p_world_base[2] for s in states) > STAND_M + 0.8 * CURB_M
+    assert states[-1].p_world_base[0] > 4.0
+
+
+@pytest.mark.parametrize(("x_m", "yaw_rad", "ground_m"), [(3.5, 0.0, CURB_M), (1.6, 1.2, 0.05), (0.0, 0.0, 0.0)])
+def test_starts_on_the_surface_under_it_and_so_after_a_reset(open_backend, x_m, yaw_rad, ground_m):
+    backend = open_backend(surfaces=RAISED_WALK)
+    for _ in range(2):
+        backend.reset(np.array([x_m, 0.0, yaw_rad]))
+        states = [backend.state, *run(backend, STOP, 1.0)]
+        assert not any(s.fallen for s in states)
+        assert [s.p_world_base[2] for s in states] == pytest.approx([STAND_M + ground_m] * len(states), abs=0.02)
+        assert max(np.linalg.norm(s.v_base) for s in states) < 0.4
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "most_mps"),
+    [((1.5, 0.0, 0.0), (-1.0, 0.0), 1.6), ((-1.5, 0.2, 0.0), (1.0, 0.2), 1.6), ((0.0, 1.5, 0.0), (0.0, -2.0), 4.0)],
+    ids=["from_front", "from_behind", "from_the_side"],
+)
+def test_person_that_walks_into_the_standing_robot_pushes_it_and_nothing_explodes(open_backend, start, end, most_mps):
+    """From front and behind it steps away; from the side, faster than it can step, it falls over as a body does."""
+    backend = open_backend(make_mover(5, (0.5, 0.5, 1.72), start, [end], speed_mps=1.0))
+    states = run(backend, STOP, 4.0)
+    assert max(np.linalg.norm(s.v_base) for s in states) < most_mps
+    assert max(s.p_world_base[2] for s in states) < STAND_M + 0.15
+    assert 0.1 < max(np.linalg.norm(s.p_world_base[:2]) for s in states) < 6.0  # it is pushed, not passed through
+    assert not any(s.fallen for s in states) or start[1] == 1.5
+
+
+def test_moving_object_is_where_its_motion_says_at_every_tick_and_back_after_a_reset(open_backend):
+    item = make_mover(5, (0.4, 0.4, 1.0), (3.0, 2.0, 0.0), [[3.0, -1.0]], loop=True)
+    backend, motion = open_backend(item), WorldMotion([item])
+
+    def place():
+        body = {label: body for body, label in backend._scene.label_of_body.items()}[5]
+        return pybullet.getBasePositionAndOrientation(body, physicsClientId=backend._client)[0]
+
+    for _ in range(100):
+        state = backend.step(STOP, PERIOD_S)
+        np.testing.assert_allclose(place(), motion.poses_at(state.time_s)[5][0], atol=1e-9)
+    assert place()[1] < 1.0
+    backend.reset(np.zeros(3))
+    np.testing.assert_allclose(place(), item.position_m, atol=1e-9)
+
+
+def test_what_is_touched_may_be_smaller_than_what_is_drawn(open_backend):
+    tree = replace(make_object(5, (3.0, 3.0, 5.0), (3.0, 0.0, 0.0)), collision_size_m=np.array([0.4, 0.4, 5.0]))
+    backend = open_backend(tree)
+    state = run(backend, (0.5, 0.0, 0.0), 7.0)[-1]
+    assert 2.0 < state.p_world_base[0] < 2.6
 
 
 def test_robot_on_its_side_has_fallen(backend):

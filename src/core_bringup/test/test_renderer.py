@@ -11,13 +11,14 @@ from dataclasses import replace
 import numpy as np
 import pybullet
 import pytest
-from simple_world import FLOOR_ID, ROBOT, make_object, make_state, make_surface, make_world
+from simple_world import FLOOR_ID, ROBOT, make_mover, make_object, make_ramp, make_state, make_surface, make_world
 
 from core_bringup.exceptions import BringupError
 from core_bringup.pybullet_render_worker import SKY_RGB
 from core_bringup.pybullet_renderer import PybulletRenderer
 from core_bringup.pybullet_scene import PybulletScene, write_urdf
 from core_bringup.robot import CameraMount
+from core_bringup.world_types import CameraNoise, Variation
 
 BOX, WALL, PATCH = 10, 12, 2
 WORLD = make_world(
@@ -250,3 +251,60 @@ def test_patch_as_high_as_the_floor_hides_it():
     labels = renderer.render(make_state()).labels
     renderer.close()
     assert np.all(labels[250:, 200:300] == 3)
+
+
+def test_ramp_and_curb_are_drawn_where_they_are():
+    """Depth of the slope, of the level above it and of the wall in front is analytic."""
+    ramp, walk = make_ramp(3, (2.0, 0.0), (3.5, 1.5), 0.0, 0.15), make_surface(4, (2.5, -3.0), (6.0, -0.2), z_m=0.15)
+    renderer = PybulletRenderer(make_world(surfaces=(ramp, walk)), ROBOT)
+    state = make_state()
+    frame = renderer.render(state)
+    renderer.close()
+    centre, rays = world_rays(state)
+    on_ramp = frame.labels == 3
+    assert on_ramp.sum() > 2000
+    # the plane z = 0.1 (x - 2):  c_z + t r_z = 0.1 (c_x + t r_x - 2)
+    depth = (0.1 * (centre[0] - 2.0) - centre[2]) / (rays[..., 2] - 0.1 * rays[..., 0])
+    points = centre + depth[..., None] * rays
+    slope = on_ramp & away_from_edges(frame.labels) & (np.abs(points[..., 1] - 0.75) < 0.7)
+    assert slope.sum() > 1500
+    assert np.abs(frame.depth_m - depth)[slope].max() <= 2e-3
+    x, y, z = np.moveaxis(centre + frame.depth_m[..., None] * rays, -1, 0)
+    walked = (frame.labels == 4) & away_from_edges(frame.labels)
+    wall = walked & (z < 0.13)
+    assert wall.sum() > 150
+    assert z[wall].min() > -1e-3
+    assert np.minimum(np.abs(x - 2.5), np.abs(y + 0.2))[wall].max() < 0.01  # its front and its left side
+    assert min(np.sum(wall & (np.abs(side) < 0.01)) for side in (x - 2.5, y + 0.2)) > 50
+    level = walked & ~wall & (x > 2.55) & (y < -0.25)
+    assert level.sum() > 5000
+    assert np.abs(z - 0.15)[level].max() < 2e-3
+
+
+def test_moving_object_is_drawn_where_the_state_has_it():
+    item = make_mover(5, (0.5, 0.5, 1.7), (3.0, 1.0, 0.0), [[3.0, -2.0]])
+    renderer = PybulletRenderer(make_world(item), ROBOT)
+    for y_m in (1.0, 0.0, -1.0, 0.5):
+        frame = renderer.render(replace(make_state(), object_poses={5: (np.array([3.0, y_m, 0.0]), 0.0)}))
+        column = np.argwhere(frame.labels == 5)[:, 1].mean()
+        expected = CAMERA.cx_px - CAMERA.fx_px * y_m / (3.0 - ROBOT.camera_mount.x_m)
+        assert abs(column - expected) < 12
+    renderer.close()
+
+
+def test_noise_is_on_colour_and_depth_never_on_labels():
+    noise = CameraNoise(color_sigma=0.02, depth_sigma_per_m2=0.003, depth_dropout=0.05, seed=4)
+    renderer = PybulletRenderer(replace(WORLD, variation=Variation(camera_noise=noise)), ROBOT)
+    first, again = renderer.render(STATE), renderer.render(STATE)
+    later = renderer.render(replace(STATE, time_s=0.1))
+    renderer.close()
+    clean = PybulletRenderer(WORLD, ROBOT)
+    truth = clean.render(STATE)
+    clean.close()
+    np.testing.assert_array_equal(first.labels, truth.labels)
+    np.testing.assert_array_equal(np.isnan(first.depth_m), np.isnan(truth.depth_m))
+    assert 0.04 < np.mean(first.depth_m[truth.labels > 0] == 0.0) < 0.06
+    assert np.mean(first.color != truth.color) > 0.8
+    np.testing.assert_array_equal(first.color, again.color)
+    np.testing.assert_array_equal(first.depth_m, again.depth_m)
+    assert not np.array_equal(first.color, later.color)

@@ -69,6 +69,7 @@ SemanticMapParams SemanticMapParams::fromReader(ParamReader* reader) {
   SemanticMapParams p;
   reader->read("resolution_m", &p.resolution_m, {0.02, 2.0});
   reader->read("window_m", &p.window_m, {1.0, 100.0});
+  reader->read("semantics", &p.semantics);
   reader->read("operators", &p.operators, {"ground", "image"});
   reader->read("kernel_px", &p.kernel_px, {1, 500});
   reader->read("unknown_is_unsafe", &p.unknown_is_unsafe);
@@ -78,6 +79,10 @@ SemanticMapParams SemanticMapParams::fromReader(ParamReader* reader) {
   readRange(reader, &p.range);
   readVote(reader, &p.vote);
   readInstance(reader, &p.instance);
+  if (!p.semantics && !p.vote.metric_layer) {
+    throw ParameterError("metric_layer", "false",
+                         "true with semantics false");  // all would be safe
+  }
   // A window of more cells than this cannot be sent at the rate of the camera.
   requireBelow("window_m", p.window_m, "1000 cells of resolution_m",
                1000.0 * p.resolution_m + 1e-9);

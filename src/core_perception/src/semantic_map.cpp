@@ -35,7 +35,7 @@ const SafetyGrid& SemanticMap::update(const Frame& frame, const Constraints& con
   checkFrame(frame);
   const Projection projection(frame, params_.range);
   checkReach(projection, params_.resolution_m);
-  const bool vote = constraints.isActive();
+  const bool vote = constraints.isActive() || !params_.semantics;
   if (history_start_s_ == 0.0) {
     disc_ = InitialDisc{frame.p_map_base, params_.initial_disc_radius_m};
     history_start_s_ = frame.stamp_s;
@@ -74,7 +74,7 @@ const SafetyGrid& SemanticMap::update(const Frame& frame, const Constraints& con
 }
 
 std::vector<Predicate> SemanticMap::findInForce(const Constraints& constraints) const {
-  if (!constraints.isActive()) return {};
+  if (!constraints.isActive() || !params_.semantics) return {};
   std::vector<Predicate> predicates = constraints.predicates;
   const bool same_history = constraints.instances_history_start_s == history_start_s_;
   if (same_history && !params_.usesImageOperators()) return predicates;
@@ -122,7 +122,8 @@ void SemanticMap::votePoint(const PixelPoint& point, float height_m, float metri
     return;
   }
   const bool by_image = !sets.safe.empty();
-  const bool safe = by_image ? sets.safe.ptr<uint8_t>(point.v)[point.u] != 0 : meaning.safe;
+  const bool safe = !params_.semantics ||
+                    (by_image ? sets.safe.ptr<uint8_t>(point.v)[point.u] != 0 : meaning.safe);
   ++(safe ? tally->n_safe : tally->n_unsafe);
   if (safe) return;
   const int rule = by_image ? sets.rule.ptr<uint8_t>(point.v)[point.u] : 0;

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from core_perception.exceptions import OntologyError
 from core_perception.ontology import SURFACES, WITH_RADIUS, Category, Ontology
-from core_perception.predicates import canonical_class_name
+from core_perception.predicates import Operator, Verdict, canonical_class_name
 from core_perception.reasoners.fixed_reasoner import load_rules
 
 
@@ -157,6 +157,17 @@ def test_unreadable_files_are_named(tmp_path):
 def test_surfaces_are_never_both(ontology):
     for known in ontology.classes.values():
         assert len(SURFACES & set(known.categories)) in (0, 1)
+
+
+def test_shipped_static_rules_keep_away_from_signage_and_say_nothing_of_arrangements(config_dir, ontology):
+    rules = load_rules(config_dir / "static_rules.yaml")._constraints.predicates
+    around = {p.class_name for p in rules if p.operator == Operator.AROUND}
+    assert {"wet_floor_sign", "warning_sign"} <= around
+    assert all(name.endswith("_sign") for name in around)
+    assert not [p for p in rules if p.operator == Operator.BETWEEN]
+    safe = {p.class_name for p in rules if p.operator == Operator.ON and p.verdict == Verdict.SAFE}
+    navigable = {n for n, known in ontology.classes.items() if known.categories == (Category.NAVIGABLE_SURFACE,)}
+    assert safe == navigable
 
 
 def test_shipped_static_rules_agree_with_the_list(config_dir, ontology):

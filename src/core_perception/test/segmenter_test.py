@@ -85,6 +85,15 @@ def test_miss_rate_is_the_share_of_instances_missed(ontology, truth):
     assert SimulatedSegmenter(ontology, miss_rate=1.0).segment(truth, CLASSES, ["floor"], 0).masks == ()
 
 
+@pytest.mark.parametrize("missed", ["traffic_cone", "pylon"])
+def test_a_missed_class_is_never_found_though_it_was_looked_for(ontology, truth, missed):
+    segmenter = SimulatedSegmenter(ontology, missed_classes=[missed])
+    segmentation = segmenter.segment(truth, CLASSES, [*ontology.vocabulary, "cone"], 0)
+    assert names(segmentation) == ["floor", "storage_rack"]
+    assert {"traffic_cone", "cone"} <= set(segmentation.classes_evaluated)
+    assert not segmentation.labels[np.isin(truth, [7, 8])].any()
+
+
 def test_dropped_pixels_and_erosion_shrink_masks(ontology, truth):
     dropped = SimulatedSegmenter(ontology, pixel_drop_rate=0.25).segment(truth, CLASSES, ["floor"], 0)
     assert mask_of(dropped, 0).sum() / (truth == 1).sum() == pytest.approx(0.75, abs=0.05)

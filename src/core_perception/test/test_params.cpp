@@ -74,6 +74,7 @@ TEST(Params, every_bad_value_is_refused_by_name) {
       {"distance", ParamValue::ofString("Border")},
       {"lockstep", ParamValue::ofString("true")},
       {"unknown_is_unsafe", ParamValue::ofInt(1)},
+      {"semantics", ParamValue::ofString("false")},
       {"map_frame", ParamValue::ofString("")},
       {"slop_s", ParamValue::ofDouble(-0.1)},
       {"queue_size", ParamValue::ofInt(0)},
@@ -99,6 +100,10 @@ TEST(Params, values_that_contradict_each_other_are_refused) {
   const ParamValue sum = ParamValue::ofString("sum");
   EXPECT_EQ(findError({{"column", sum}}).find("free_space_clearing: got true"), 0u);
   EXPECT_EQ(findError({{"column", sum}, {"free_space_clearing", ParamValue::ofBool(false)}}), "");
+  const ParamValue no = ParamValue::ofBool(false);
+  EXPECT_EQ(findError({{"semantics", no}, {"metric_layer", no}}).find("metric_layer: got false"),
+            0u);
+  EXPECT_EQ(findError({{"semantics", no}}), "");
   // The scratch volume is counted in 32 bits.
   const ParamMap fine{{"resolution_m", ParamValue::ofDouble(0.02)},
                       {"range_max_m", ParamValue::ofDouble(4.0)},

@@ -145,6 +145,40 @@ TEST(SemanticMap, obstacle_is_unsafe_whatever_the_predicates_say) {
   EXPECT_EQ(ruleAt(map.grid(), 2.9, 0.0), kMetricRule);
 }
 
+TEST(SemanticMap, without_semantics_only_what_stands_up_is_unsafe) {
+  SemanticMapParams params;
+  params.semantics = params.unknown_is_unsafe = false;
+  Constraints rules = makeConeRules();
+  rules.predicates[0].verdict = Verdict::kUnsafe;  // ON(floor)
+  const Scene scene = makeConeLine();
+  for (const Constraints& stated : {rules, Constraints()}) {
+    SemanticMap map{params};
+    for (int k = 1; k <= 3; ++k) map.update(scene.render(k * kPeriod_s, 0.0, 0.0, 0.0), stated);
+    const SafetyGrid& grid = map.grid();
+    for (const Cylinder& cone : scene.cylinders) {
+      const double front_m = cone.centre.x - cone.radius_m + 0.01;
+      EXPECT_EQ(stateAt(grid, front_m, cone.centre.y), CellState::kUnsafe) << cone.centre.y;
+      EXPECT_EQ(ruleAt(grid, front_m, cone.centre.y), kMetricRule);
+    }
+    const double gap_m = 0.5 * (scene.cylinders[1].centre.y + scene.cylinders[2].centre.y);
+    for (double x = 2.5; x <= 6.0; x += 0.1)
+      EXPECT_EQ(stateAt(grid, x, gap_m), CellState::kSafe) << x;
+    EXPECT_EQ(stateAt(grid, 0.0, 3.0), CellState::kUnknown);
+    EXPECT_GT(grid.h_m[indexAt(grid, 0.0, 3.0)], 0.0f) << "unknown is safe";
+    EXPECT_TRUE(map.predicates().empty());
+  }
+}
+
+TEST(SemanticMap, without_semantics_the_operators_on_pixels_decide_nothing_either) {
+  SemanticMapParams params = makePaperParams();
+  params.semantics = false;
+  params.vote.metric_layer = true;
+  SemanticMap map{params};
+  for (int k = 1; k <= 3; ++k)
+    map.update(makeConeLine().render(k * kPeriod_s, 0.0, 0.0, 0.0), makeConeRules());
+  EXPECT_EQ(stateAt(map.grid(), 4.5, 0.7), CellState::kSafe);
+}
+
 TEST(SemanticMap, unsafe_surface_is_unsafe_although_another_predicate_calls_it_safe) {
   SemanticMap map{SemanticMapParams()};
   Constraints rules = makeConeRules();

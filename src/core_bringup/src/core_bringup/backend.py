@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import abc
 from dataclasses import dataclass, field
-from typing import Tuple
+from typing import Mapping, Tuple
 
 import numpy as np
 
@@ -25,6 +25,7 @@ class RobotState:
         joint_velocities_radps: (n,) joint speeds.
         foot_contacts: per leg FR, FL, RR, RL: the foot touches something.
         fallen: the trunk lies on a surface or is tilted beyond what a walk needs; bumping into an object is no fall.
+        object_poses: where the moving objects are at this instant: object id -> bottom centre (3,) [m], yaw [rad].
     """
 
     time_s: float
@@ -37,6 +38,7 @@ class RobotState:
     joint_velocities_radps: np.ndarray = field(default_factory=lambda: np.zeros(0))
     foot_contacts: Tuple[bool, ...] = ()
     fallen: bool = False
+    object_poses: Mapping[int, Tuple[np.ndarray, float]] = field(default_factory=dict)
 
 
 class Backend(abc.ABC):

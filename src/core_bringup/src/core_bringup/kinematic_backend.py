@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from typing import Optional
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from core_bringup.backend import Backend, RobotState
 from core_bringup.quadruped.kinematics import JOINT_NAMES, LEGS
 from core_bringup.quadruped.model import compute_stand_joints
 from core_bringup.robot import RobotConfig
+from core_bringup.world_types import World
 
 TIME_STEP_NS = 1000  # durations are whole microseconds, so that time never drifts
 
@@ -38,14 +40,16 @@ def integrate_twist(pose: np.ndarray, twist: np.ndarray, duration_s: float) -> n
 
 
 class KinematicBackend(Backend):
-    """base_link glides level at the height of the stand; feet always touch, it never falls and passes through objects.
+    """base_link glides level, at the height of the stand above the surface under it; a step in height is taken at once.
 
+    Feet always touch, it never falls and passes through objects.
     A command is held for the whole step and clipped to the robot's limits; there is no lag. The same commands give the
     same bits.
     """
 
-    def __init__(self, robot: RobotConfig):
-        """Stand at the origin until reset."""
+    def __init__(self, robot: RobotConfig, world: Optional[World] = None):
+        """Stand at the origin until reset; without a world the ground is level at 0."""
+        self._world = world
         limits, params = robot.limits, robot.quadruped
         self._limits = np.array([limits.forward_mps, limits.sideways_mps, limits.yaw_radps])
         self._height_m = params.gait.body_height_m
@@ -78,9 +82,10 @@ class KinematicBackend(Backend):
     def state(self) -> RobotState:
         """See Backend."""
         x, y, yaw = self._pose
+        ground_m = 0.0 if self._world is None else self._world.surface_height_m(x, y)
         return RobotState(
             time_s=self._time_ns * 1e-9,
-            p_world_base=np.array([x, y, self._height_m]),
+            p_world_base=np.array([x, y, ground_m + self._height_m]),
             q_world_base=np.array([0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)]),
             v_base=np.array([self._twist[0], self._twist[1], 0.0]),
             w_base=np.array([0.0, 0.0, self._twist[2]]),

@@ -6,17 +6,18 @@ from __future__ import annotations
 import os
 import sys
 from dataclasses import replace
-from typing import Sequence, Tuple
+from typing import Optional, Sequence, Tuple
 
 import numpy as np
 import pybullet
 
 from core_bringup.backend import Backend, RobotState
 from core_bringup.exceptions import BringupError
+from core_bringup.motion import WorldMotion
 from core_bringup.params import PYBULLET_RATE_HZ
 from core_bringup.pybullet_scene import PybulletScene, write_urdf
 from core_bringup.quadruped.controller import GRAVITY_MPS2, TrotController
-from core_bringup.quadruped.kinematics import JOINT_NAMES, LEGS
+from core_bringup.quadruped.kinematics import JOINT_NAMES, LEGS, LegKinematics
 from core_bringup.quadruped.model import compute_mass_properties, compute_stand_joints
 from core_bringup.quadruped.types import QuadrupedState
 from core_bringup.robot import RobotConfig
@@ -28,12 +29,21 @@ _WINDOW = "--width=1280 --height=800"
 
 
 class PybulletBackend(Backend):
-    """A quadruped that walks by force control through a world of solid objects.
+    """A quadruped that walks by force control through a world of solid objects, some of which move.
+
+    A moving object is put a little further at every physics step, whatever it meets: it pushes, and is not pushed.
 
     The same seed in a fresh process gives the same states bit for bit.
     """
 
-    def __init__(self, world: World, robot: RobotConfig, gui: bool = False, seed: int = 0):
+    def __init__(
+        self,
+        world: World,
+        robot: RobotConfig,
+        gui: bool = False,
+        seed: int = 0,
+        motion: Optional[WorldMotion] = None,
+    ):
         """Open a PyBullet client and put the robot to the origin.
 
         Args:
@@ -41,11 +51,12 @@ class PybulletBackend(Backend):
             robot: RobotConfig.
             gui: open PyBullet's own window.
             seed: even: legs FL and RR make the first step; odd: FR and RL.
+            motion: where the moving objects are; None: they stand.
 
         Raises:
             BringupError: PyBullet refuses to start or to load something.
         """
-        self._world, self._robot = world, robot
+        self._world, self._robot, self._motion = world, robot, motion
         self._limits = np.array([robot.limits.forward_mps, robot.limits.sideways_mps, robot.limits.yaw_radps])
         self._client = _connect(gui)
         self._gui = gui
@@ -77,7 +88,7 @@ class PybulletBackend(Backend):
         self._foot_ids = [self._scene.link_ids[f"{leg}_foot"] for leg in LEGS]
         self._free_joints()
         x, y, yaw = start_pose
-        height = self._world.surfaces[0].z_m + self._robot.quadruped.gait.body_height_m
+        height = self._ground_under_m(start_pose) + self._robot.quadruped.gait.body_height_m
         self._scene.set_robot((x, y, height), (0.0, 0.0, np.sin(0.5 * yaw), np.cos(0.5 * yaw)), self._stand_rad.ravel())
         self._ticks = 0
         self._controller.reset(self._read_robot(np.ones(4, dtype=bool)))
@@ -103,6 +114,7 @@ class PybulletBackend(Backend):
             )
             pybullet.stepSimulation(physicsClientId=self._client)
             self._ticks += 1
+            self._move_objects()
             self._read_contacts()
         self._state = self._read_state()
         self._follow(self._state.p_world_base)
@@ -136,6 +148,19 @@ class PybulletBackend(Backend):
             pybullet.disconnect(physicsClientId=self._client)
             self._urdf_path.unlink()
             self._client = -1
+
+    def _move_objects(self) -> None:
+        """Put the moving objects to where they are now; what they touch is felt in the next physics step."""
+        if self._motion is not None:
+            for label_id, pose in self._motion.poses_at(self._ticks / PYBULLET_RATE_HZ).items():
+                self._scene.place_object(label_id, *pose)
+
+    def _ground_under_m(self, pose: np.ndarray) -> float:
+        """Height of the highest surface under base_link and the four hips at a pose (3,)."""
+        hips = LegKinematics(self._robot.quadruped.leg).p_base_thigh[:, :2]
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        places = pose[:2] + np.vstack([np.zeros(2), hips @ np.array([[c, s], [-s, c]])])
+        return max(self._world.surface_height_m(x, y) for x, y in places)
 
     def _free_joints(self) -> None:
         """Turn off PyBullet's own joint motors and damping, and set the friction of the feet."""

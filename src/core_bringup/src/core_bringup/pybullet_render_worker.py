@@ -7,12 +7,14 @@ import importlib.util
 import pickle
 import signal
 from multiprocessing.connection import Connection
-from typing import List, Sequence, Tuple
+from typing import List, Tuple
 
 import numpy as np
 import pybullet
 
+from core_bringup.backend import RobotState
 from core_bringup.camera import CameraModel
+from core_bringup.camera_noise import add_camera_noise
 from core_bringup.exceptions import BringupError
 from core_bringup.pybullet_scene import PybulletScene, write_urdf
 from core_bringup.quadruped.kinematics import JOINT_NAMES
@@ -53,7 +55,7 @@ class FramePainter:
 
     def __init__(self, world: World, robot: RobotConfig, camera: CameraModel, renderer: str):
         """Build the world; arguments as those of PybulletRenderer."""
-        self._camera, self._light = camera, world.lighting
+        self._camera, self._light, self._noise = camera, world.lighting, world.camera_noise
         self._stand_rad = compute_stand_joints(robot.quadruped).ravel()
         self._client = pybullet.connect(pybullet.DIRECT)
         self._engine = pybullet.ER_TINY_RENDERER if renderer == "tiny" else _load_egl(self._client)
@@ -65,17 +67,15 @@ class FramePainter:
         self._R_base_optical, self._p_base_optical = robot.camera_mount.compute_optical_pose()
         self._projection = build_projection_matrix(camera, _SAMPLE_OFFSET_PX[renderer])
 
-    def paint(
-        self,
-        p_world_base: np.ndarray,
-        q_world_base: np.ndarray,
-        joint_names: Sequence[str],
-        joint_positions_rad: np.ndarray,
-    ) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Draw a frame; joints default to the stand. Returns color, depth_m, labels as in camera.Frame."""
+    def paint(self, state: RobotState) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Draw a frame at a state; joints default to the stand. Returns color, depth_m, labels as in camera.Frame."""
+        p_world_base, q_world_base = state.p_world_base, state.q_world_base
+        joint_names, joint_positions_rad = state.joint_names, state.joint_positions_rad
         if not joint_names:
             joint_names, joint_positions_rad = JOINT_NAMES, self._stand_rad
         self.scene.set_robot(p_world_base, q_world_base, joint_positions_rad, joint_names)
+        for label_id, pose in state.object_poses.items():
+            self.scene.place_object(label_id, *pose)
         camera, light = self._camera, self._light
         view = self._compute_view_matrix(p_world_base, q_world_base)
         _, _, rgba, buffer, segments = pybullet.getCameraImage(
@@ -101,7 +101,7 @@ class FramePainter:
         np.copyto(depth, np.nan, where=labels == 0)
         color = np.asarray(rgba, dtype=np.uint8).reshape(*shape, 4)[:, :, :3].copy()
         np.copyto(color, np.array(SKY_RGB, dtype=np.uint8), where=(segments < 0)[:, :, None])
-        return color, depth, labels
+        return (*add_camera_noise(color, depth, self._noise, round(state.time_s * 1e9)), labels)
 
     def _compute_labels(self, segments: np.ndarray) -> np.ndarray:
         """World labels (h, w) uint16; the robot and the sky (-1, which the mask makes the largest body id) are 0."""

@@ -86,17 +86,7 @@ class PybulletRenderer:
         Raises:
             BringupError: the child has died.
         """
-        self._send(
-            (
-                "render",
-                (
-                    np.asarray(state.p_world_base),
-                    np.asarray(state.q_world_base),
-                    tuple(state.joint_names),
-                    np.asarray(state.joint_positions_rad),
-                ),
-            )
-        )
+        self._send(("render", (state,)))
         self._due += 1
 
     def collect(self) -> Frame:

@@ -6,11 +6,12 @@ from __future__ import annotations
 import tempfile
 from dataclasses import replace
 from pathlib import Path
-from typing import Dict, List, Sequence, Tuple
+from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 import pybullet
 
+from core_bringup.drawn_mesh import DrawnMesh, box_mesh, read_mesh, surface_mesh
 from core_bringup.exceptions import BringupError
 from core_bringup.quadruped.kinematics import JOINT_NAMES
 from core_bringup.robot import RobotConfig
@@ -18,6 +19,8 @@ from core_bringup.world_types import Surface, World, WorldObject
 
 _PATCH_DEPTH_M = 0.05
 _COPLANAR_LIFT_M = 0.001  # a patch as high as the floor is put this far above it, or the two would flicker
+_WHITE = (1.0, 1.0, 1.0, 1.0)
+_LONGEST_EDGE_M = 2.5  # of a drawn triangle
 _HULL_MARGIN_M = 0.001  # Bullet grows a convex hull by this much
 _FRICTION = 1.0
 
@@ -26,7 +29,8 @@ class PybulletScene:
     """The bodies of a world and of the robot, and which label each body carries.
 
     The floor (first surface) collides as an endless plane at its height, so nothing falls off the world; it is drawn as
-    its polygon. Other surfaces collide as prisms. Objects are static; one that is not solid is only drawn.
+    its polygon. Other surfaces are prisms from their height to below the floor. No object is pushed by what it meets;
+    one that is not solid is only drawn.
     """
 
     def __init__(self, client_id: int, world: World, robot_urdf_path: Path, visual: bool = True):
@@ -39,7 +43,7 @@ class PybulletScene:
             visual: also build what is drawn (textures, meshes); physics alone does without.
         """
         self._client, self._visual = client_id, visual
-        self._labels, self._bodies, self._items = {}, {}, {}
+        self._labels, self._bodies, self._items, self._textures = {}, {}, {}, {}
         try:
             self.robot = pybullet.loadURDF(
                 str(robot_urdf_path), flags=pybullet.URDF_USE_INERTIA_FROM_FILE, physicsClientId=client_id
@@ -62,7 +66,7 @@ class PybulletScene:
 
     @property
     def objects(self) -> Tuple[WorldObject, ...]:
-        """WorldObjects of the scene as they stand now."""
+        """WorldObjects of the scene as they stand now; one that moves by itself at its start."""
         return tuple(self._items.values())
 
     def add_object(self, item: WorldObject) -> None:
@@ -74,12 +78,14 @@ class PybulletScene:
         if item.id in self._labels.values():
             raise BringupError(f"object id {item.id} ({item.name}): taken; allowed: a free id")
         half_height = 0.5 * float(item.size_m[2])
-        collision = self._create_collision(item, half_height) if item.solid else -1
-        visual = self._create_visual(item, half_height) if self._visual else -1
+        collision = self._create_collision(item) if item.solid else -1
+        visual, texture = self._create_visual(item, half_height) if self._visual else (-1, None)
         body = pybullet.createMultiBody(
             0.0, collision, visual, *_object_pose(item.position_m, item.yaw_rad), physicsClientId=self._client
         )
         pybullet.changeDynamics(body, -1, lateralFriction=_FRICTION, physicsClientId=self._client)
+        if texture is not None:
+            self._paint(body, texture)
         self._labels[body], self._bodies[item.id], self._items[item.id] = item.id, body, item
 
     def move_object(self, label_id: int, position_m: Sequence[float], yaw_rad: float) -> None:
@@ -89,6 +95,11 @@ class PybulletScene:
         )
         item = self._items[label_id]
         self._items[label_id] = replace(item, position_m=np.array(position_m, dtype=float), yaw_rad=float(yaw_rad))
+
+    def place_object(self, label_id: int, position_m: Sequence[float], yaw_rad: float) -> None:
+        """Put a moving object to where it is now; unlike move_object it does not change what `objects` says."""
+        pose = _object_pose(position_m, yaw_rad)
+        pybullet.resetBasePositionAndOrientation(self._body(label_id), *pose, physicsClientId=self._client)
 
     def remove_object(self, label_id: int) -> None:
         """Take an object out of the scene."""
@@ -140,10 +151,13 @@ class PybulletScene:
         return [joints[name] for name in JOINT_NAMES], links
 
     def _add_surface(self, world: World, index: int) -> int:
-        surface = world.surfaces[index]
-        lift_m = _COPLANAR_LIFT_M * index if surface.z_m == world.surfaces[0].z_m else 0.0
-        collision = self._create_surface_collision(surface, index == 0)
-        visual = self._create_surface_visual(surface) if self._visual else -1
+        surface, floor_m = world.surfaces[index], world.surfaces[0].z_m
+        lift_m = _COPLANAR_LIFT_M * index if surface.corner_z_m is None and surface.z_m == floor_m else 0.0
+        if index == 0:
+            collision = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self._client)
+        else:
+            collision = self._create_prism(surface, floor_m)
+        visual = self._create_surface_visual(surface, floor_m) if self._visual else -1
         place = (0.0, 0.0, float(surface.z_m) + lift_m)
         body = pybullet.createMultiBody(0.0, collision, visual, place, physicsClientId=self._client)
         pybullet.changeDynamics(body, -1, lateralFriction=_FRICTION, physicsClientId=self._client)
@@ -152,80 +166,77 @@ class PybulletScene:
         self._labels[body] = surface.id
         return body
 
-    def _create_surface_collision(self, surface: Surface, is_floor: bool) -> int:
-        if is_floor:
-            return pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self._client)
-        heights = (-_PATCH_DEPTH_M, -_HULL_MARGIN_M)
-        layers = [np.column_stack([surface.polygon_m, np.full(len(surface.polygon_m), z)]) for z in heights]
-        return pybullet.createCollisionShape(
-            pybullet.GEOM_MESH, vertices=np.concatenate(layers).tolist(), physicsClientId=self._client
-        )
+    def _create_prism(self, surface: Surface, floor_m: float) -> int:
+        """Convex hull from the surface down to below the floor, in axes whose origin lies at surface.z_m."""
+        top = surface.corners_m - [0.0, 0.0, surface.z_m + _HULL_MARGIN_M]
+        bottom = top.copy()
+        bottom[:, 2] = min(floor_m - surface.z_m, 0.0) - _PATCH_DEPTH_M
+        vertices = np.concatenate([bottom, top]).tolist()
+        return pybullet.createCollisionShape(pybullet.GEOM_MESH, vertices=vertices, physicsClientId=self._client)
 
-    def _create_surface_visual(self, surface: Surface) -> int:
-        """The polygon as an OBJ file, because EGL crashes on meshes handed over as lists."""
-        color = (1.0, 1.0, 1.0, 1.0) if surface.texture is not None else _floats(surface.color_rgba)
+    def _create_surface_visual(self, surface: Surface, floor_m: float) -> int:
+        color = _WHITE if surface.texture is not None else _floats(surface.color_rgba)
+        return self._draw(surface_mesh(surface, floor_m).divide(_LONGEST_EDGE_M), color)
+
+    def _draw(self, mesh: DrawnMesh, color_rgba: Sequence[float]) -> int:
+        """Visual shape of a mesh, by way of an OBJ file, because EGL crashes on meshes handed over as lists."""
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "surface.obj"
-            path.write_text(build_surface_obj(surface), encoding="ascii")
+            path = Path(folder) / f"{Path(folder).name}.obj"  # PyBullet remembers meshes by name
+            path.write_text(mesh.obj_text(), encoding="utf-8")
             return pybullet.createVisualShape(
                 pybullet.GEOM_MESH,
                 fileName=str(path),
-                rgbaColor=color,
+                rgbaColor=color_rgba,
                 specularColor=(0.0, 0.0, 0.0),
                 physicsClientId=self._client,
             )
 
     def _paint(self, body: int, path: Path) -> None:
-        texture = pybullet.loadTexture(str(path), physicsClientId=self._client)
-        if texture < 0:
+        if path not in self._textures:
+            self._textures[path] = pybullet.loadTexture(str(path), physicsClientId=self._client)
+        if self._textures[path] < 0:
             raise BringupError(f"PyBullet cannot read the texture {path}")
-        pybullet.changeVisualShape(body, -1, textureUniqueId=texture, physicsClientId=self._client)
+        pybullet.changeVisualShape(
+            body, -1, textureUniqueId=self._textures[path], rgbaColor=_WHITE, physicsClientId=self._client
+        )
 
-    def _create_collision(self, item: WorldObject, half_height: float) -> int:
-        place = {"collisionFramePosition": (0.0, 0.0, half_height), "physicsClientId": self._client}
+    def _create_collision(self, item: WorldObject) -> int:
+        half_m = _floats(0.5 * item.collision_size_m)
+        place = {"collisionFramePosition": (0.0, 0.0, half_m[2]), "physicsClientId": self._client}
         if item.collision == "cylinder":
             return pybullet.createCollisionShape(
-                pybullet.GEOM_CYLINDER, radius=0.5 * float(item.size_m[0]), height=2.0 * half_height, **place
+                pybullet.GEOM_CYLINDER, radius=half_m[0], height=2.0 * half_m[2], **place
             )
-        return pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=_floats(0.5 * item.size_m), **place)
+        return pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half_m, **place)
 
-    def _create_visual(self, item: WorldObject, half_height: float) -> int:
+    def _create_visual(self, item: WorldObject, half_height: float) -> Tuple[int, Optional[Path]]:
+        """Visual shape, and the texture that is still to be put on its body."""
+        if item.shape == "mesh":
+            return self._load_mesh(item)
+        if item.shape == "box" and item.size_m.max() > _LONGEST_EDGE_M:
+            return self._draw(box_mesh(item.size_m).divide(_LONGEST_EDGE_M), _floats(item.color_rgba)), None
         place = {
             "visualFramePosition": (0.0, 0.0, half_height),
             "rgbaColor": _floats(item.color_rgba),
             "specularColor": (0.0, 0.0, 0.0),
             "physicsClientId": self._client,
         }
-        if item.shape == "mesh":
-            return self._load_mesh(item)
         if item.shape == "cylinder":
-            return pybullet.createVisualShape(
-                pybullet.GEOM_CYLINDER, radius=0.5 * float(item.size_m[0]), length=2.0 * half_height, **place
-            )
-        return pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=_floats(0.5 * item.size_m), **place)
+            radius = 0.5 * float(item.size_m[0])
+            shape = {"radius": radius, "length": 2.0 * half_height}
+            return pybullet.createVisualShape(pybullet.GEOM_CYLINDER, **shape, **place), None
+        return pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=_floats(0.5 * item.size_m), **place), None
 
-    def _load_mesh(self, item: WorldObject) -> int:
+    def _load_mesh(self, item: WorldObject) -> Tuple[int, Optional[Path]]:
         if not item.mesh.is_file():  # PyBullet would draw nothing and say so only on its own console
             raise BringupError(f"object {item.name}: no file {item.mesh}; allowed: an OBJ file")
-        return pybullet.createVisualShape(
-            pybullet.GEOM_MESH,
-            fileName=str(item.mesh),
-            rgbaColor=(1.0, 1.0, 1.0, 1.0),
-            meshScale=_floats(item.mesh_scale),
-            physicsClientId=self._client,
-        )
-
-
-def build_surface_obj(surface: Surface) -> str:
-    """OBJ text of a Surface at z = 0: triangles seen from above; uv counts texture tiles from the lower corner."""
-    polygon = np.asarray(surface.polygon_m, dtype=float)
-    tiles = (polygon - polygon.min(axis=0)) / surface.texture_tile_m
-    lines = [f"v {x:.9g} {y:.9g} 0" for x, y in polygon]
-    lines += [f"vt {u:.9g} {v:.9g}" for u, v in tiles]
-    lines.append("vn 0 0 1")
-    corners = [f"{k}/{k}/1" for k in range(1, len(polygon) + 1)]
-    lines += [f"f {corners[0]} {corners[k]} {corners[k + 1]}" for k in range(1, len(polygon) - 1)]
-    return "\n".join(lines) + "\n"
+        scale, mesh = _floats(item.mesh_scale), read_mesh(item.mesh)
+        if mesh is not None:
+            divided = mesh.divide(_LONGEST_EDGE_M, scale)
+            if len(divided.corners) > len(mesh.corners):
+                return self._draw(divided.scaled(scale), _WHITE), mesh.texture
+        shape = {"fileName": str(item.mesh), "rgbaColor": _WHITE, "meshScale": scale}
+        return pybullet.createVisualShape(pybullet.GEOM_MESH, **shape, physicsClientId=self._client), None
 
 
 def _object_pose(position_m: Sequence[float], yaw_rad: float) -> Tuple[List[float], Tuple[float, ...]]:

@@ -8,24 +8,38 @@ from typing import Any, Dict, Tuple
 import jsonschema
 
 from core_bringup.exceptions import ConfigError
+from core_bringup.task_types import CATEGORIES, SPLITS
 from core_bringup.yaml_source import YamlSource
 
 SCHEMA_NAME = "core_world/1"
 
-# Canonical class names a world may use. Source: [CORE] experiments (warehouse, hospital, residential).
-SURFACE_CLASSES = ("floor", "carpet", "sidewalk", "road", "crosswalk", "grass", "gravel", "dirt", "ramp", "water")
-OBJECT_CLASSES = (
-    "barrier", "barrier_tape", "bed", "bench", "bicycle", "bollard", "building", "bush", "car", "cardboard_box",
-    "cart", "chair", "counter", "crate", "curb", "curtain", "desk", "door", "fence", "fire_extinguisher",
-    "fire_hydrant", "forklift", "gurney", "hand_truck", "iv_stand", "lamp_post", "machine", "mailbox",
-    "medical_equipment", "pallet", "pallet_jack", "person", "pillar", "plant", "potted_plant", "shelf", "sign",
-    "sofa", "stairs", "storage_rack", "table", "traffic_cone", "trash_can", "tree", "truck", "vending_machine",
-    "wall", "warning_sign", "wet_floor_sign", "wheelchair",
+# Canonical class names a world may use, as core_perception/config/ontology.yaml knows them, some by an alias.
+# Source: [CORE] experiments (warehouse, hospital, residential).
+SURFACE_CLASSES = (
+    "floor", "carpet", "sidewalk", "road", "crosswalk", "grass", "gravel", "dirt", "ramp", "water", "sidewalk_ramp",
+    "parking_lot", "hallway", "driveway", "path", "patio", "curb",
 )  # fmt: skip
+OBJECT_CLASSES = (
+    "barrel", "barrier", "barrier_tape", "bed", "bench", "bicycle", "bollard", "building", "bush", "car",
+    "cardboard_box", "cart", "chair", "counter", "crate", "curb", "curtain", "desk", "door", "fence",
+    "fire_extinguisher", "fire_hydrant", "forklift", "gurney", "hand_truck", "iv_stand", "ladder", "lamp_post",
+    "machine", "mailbox", "medical_equipment", "pallet", "pallet_jack", "person", "pillar", "plant", "potted_plant",
+    "shelf", "sign", "sofa", "stairs", "storage_rack", "table", "traffic_cone", "trash_can", "tree", "truck",
+    "vending_machine", "wall", "warning_sign", "wet_floor_sign", "wheelchair", "window",
+)  # fmt: skip
+MAX_TIME_S = 3600
+
+
+def _number(**limits: float) -> Dict[str, Any]:
+    return {"type": "number", **limits}
 
 
 def _numbers(count: int, **limits: float) -> Dict[str, Any]:
-    return {"type": "array", "items": {"type": "number", **limits}, "minItems": count, "maxItems": count}
+    return _list({"type": "number", **limits}, count, count)
+
+
+def _list(items: Dict[str, Any], least: int = 0, most: int = 10_000, **more: Any) -> Dict[str, Any]:
+    return {"type": "array", "items": items, "minItems": least, "maxItems": most, **more}
 
 
 def _mapping(required: Tuple[str, ...], properties: Dict[str, Any]) -> Dict[str, Any]:
@@ -33,29 +47,49 @@ def _mapping(required: Tuple[str, ...], properties: Dict[str, Any]) -> Dict[str,
 
 
 _NAME = {"type": "string", "pattern": "^[a-z][a-z0-9_]*$"}
+_NAMES = _list(_NAME, uniqueItems=True)
 _LABEL_ID = {"type": "integer", "minimum": 1, "maximum": 65535}
-_LENGTH_M = {"type": "number", "exclusiveMinimum": 0, "maximum": 1000}
+_LENGTH_M = _number(exclusiveMinimum=0, maximum=1000)
+_TIME_S = _number(minimum=0, maximum=MAX_TIME_S)
 _COORDINATE = {"minimum": -1000, "maximum": 1000}
-_ANGLE_RAD = {"type": "number", "minimum": -6.3, "maximum": 6.3}
-_FRACTION = {"type": "number", "minimum": 0, "maximum": 1}
+_HEIGHT = {"minimum": -10, "maximum": 10}
+_ANGLE_RAD = _number(minimum=-6.3, maximum=6.3)
+_FRACTION = _number(minimum=0, maximum=1)
 _POINT_XY = _numbers(2, **_COORDINATE)
-_POLYGON = {"type": "array", "items": _POINT_XY, "minItems": 3, "maxItems": 64}
+_POLYGON = _list(_POINT_XY, 3, 64)
 _COLOR_RGBA = _numbers(4, minimum=0, maximum=1)
-_PREDICATE = {"type": "string", "pattern": r"^(ON|NEAR|AROUND|BETWEEN)\([a-z][a-z0-9_]*\)=(safe|unsafe)$"}
+_PREDICATE = {
+    "type": "string",
+    "pattern": r"^(ON|NEAR|AROUND|BETWEEN)\([a-z][a-z0-9_]*(, ?[0-9.]+)?(, ?(stop|slow))?\)=(safe|unsafe)$",
+    "examples": ["ON(floor)=safe", "AROUND(forklift, 1.5)=unsafe"],
+}
+_PREDICATES = _list(_PREDICATE)
+_TEXTURE = {"type": "string", "pattern": r"^[^/].*\.png$"}
+_SENTENCE = {"type": "string", "minLength": 1, "maxLength": 300}
 
 _SHAPE_KEYS = {
     "class": {"enum": list(OBJECT_CLASSES)},
-    "aliases": {"type": "array", "items": _NAME, "uniqueItems": True},
+    "aliases": _NAMES,
     "shape": {"enum": ["box", "cylinder", "mesh"]},
     "collision": {"enum": ["box", "cylinder"]},
     "size_m": _numbers(3, exclusiveMinimum=0, maximum=1000),
+    "collision_size_m": _numbers(3, exclusiveMinimum=0, maximum=1000),
     "mesh": {"type": "string", "pattern": r"^[^/].*\.obj$"},
     "mesh_scale": _numbers(3, exclusiveMinimum=0, maximum=1000),
     "color_rgba": _COLOR_RGBA,
     "solid": {"type": "boolean"},
 }
-_JITTER = _mapping((), {"position_m": {"type": "number", "minimum": 0, "maximum": 1}, "yaw_rad": _ANGLE_RAD})
-
+_MOTION = _mapping(
+    ("path_m", "speed_mps"),
+    {
+        "path_m": _list(_POINT_XY, 1, 64),
+        "speed_mps": _number(exclusiveMinimum=0, maximum=10),
+        "start": _mapping((), {"at_s": _TIME_S, "robot_within_m": _LENGTH_M}),
+        "loop": {"type": "boolean"},
+        "pause_s": _TIME_S,
+        "face_motion": {"type": "boolean"},
+    },
+)
 _OBJECT = _mapping(
     ("id", "name", "position_m"),
     {
@@ -64,7 +98,9 @@ _OBJECT = _mapping(
         "model": _NAME,
         "position_m": _numbers(3, **_COORDINATE),
         "yaw_rad": _ANGLE_RAD,
-        "jitter": _JITTER,
+        "jitter": _mapping((), {"position_m": _number(minimum=0, maximum=1), "yaw_rad": _ANGLE_RAD}),
+        "presence": _FRACTION,
+        "motion": _MOTION,
         **_SHAPE_KEYS,
     },
 )
@@ -75,9 +111,11 @@ _SURFACE = _mapping(
         "name": _NAME,
         "class": {"enum": list(SURFACE_CLASSES)},
         "polygon_m": _POLYGON,
-        "z_m": {"type": "number", "minimum": -10, "maximum": 10},
+        "z_m": _number(**_HEIGHT),
+        "corner_z_m": _list(_number(**_HEIGHT), 3, 64),
         "color_rgba": _COLOR_RGBA,
-        "texture": {"type": "string", "pattern": r"^[^/].*\.png$"},
+        "texture": _TEXTURE,
+        "textures": _list(_TEXTURE, 1, 16, uniqueItems=True),
         "texture_tile_m": _LENGTH_M,
     },
 )
@@ -92,25 +130,61 @@ _LIGHTING = _mapping(
         "shadow": {"type": "boolean"},
     },
 )
-_REGION = _mapping(
-    ("name", "reason", "polygon_m"),
-    {"name": _NAME, "reason": {"type": "string", "minLength": 1, "maxLength": 200}, "polygon_m": _POLYGON},
+_CAMERA_NOISE = _mapping(
+    (),
+    {
+        "color_sigma": _number(minimum=0, maximum=0.2),
+        "depth_sigma_per_m2": _number(minimum=0, maximum=0.1),
+        "depth_dropout": _FRACTION,
+    },
 )
+_VARIATION = _mapping(
+    (),
+    {
+        "light_azimuth_rad": _number(minimum=0, maximum=6.3),
+        "light_ambient": _FRACTION,
+        "light_diffuse": _FRACTION,
+        "camera_noise": _CAMERA_NOISE,
+    },
+)
+_REGION = _mapping(
+    ("name", "reason", "because"),
+    {
+        "name": _NAME,
+        "reason": {"type": "string", "minLength": 1, "maxLength": 200},
+        "because": _list(_PREDICATE, 1, 16, uniqueItems=True),
+        "polygon_m": _POLYGON,
+        "disc": _mapping(("center_m", "radius_m"), {"center_m": _POINT_XY, "radius_m": _LENGTH_M}),
+        "around": _mapping(("object", "radius_m"), {"object": _NAME, "radius_m": _LENGTH_M}),
+    },
+)
+_RULE = _mapping((), {"predicate": _PREDICATE, "guideline": _SENTENCE, "lifetime_s": _TIME_S})
 _TASK = _mapping(
-    ("description", "expectation", "start_pose", "waypoints_m", "goal_m", "time_limit_s"),
+    ("description", "category", "expectation", "start_pose", "waypoints_m", "goal_m", "time_limit_s"),
     {
         "description": {"type": "string", "minLength": 1, "maxLength": 400},
+        "number": {"type": "integer", "minimum": 1, "maximum": 12},
+        "category": {"enum": list(CATEGORIES)},
+        "split": {"enum": list(SPLITS)},
+        "variant_of": _NAME,
         "expectation": {"enum": ["unsafe", "safe"]},
         "start_pose": _numbers(3, **_COORDINATE),
         "start_variation": _numbers(3, minimum=0, maximum=5),
-        "waypoints_m": {"type": "array", "items": _POINT_XY, "minItems": 1, "maxItems": 200},
+        "waypoints_m": _list(_POINT_XY, 1, 200),
         "goal_m": _POINT_XY,
         "goal_tolerance_m": _LENGTH_M,
-        "time_limit_s": {"type": "number", "exclusiveMinimum": 0, "maximum": 3600},
-        "unsafe_regions": {"type": "array", "items": _REGION},
-        "oracle_predicates": {"type": "array", "items": _PREDICATE},
+        "time_limit_s": _number(exclusiveMinimum=0, maximum=MAX_TIME_S),
+        "objects": _list(_OBJECT),
+        "hides": _NAMES,
+        "unsafe_regions": _list(_REGION),
+        "oracle_predicates": _PREDICATES,
+        "over_cautious": _PREDICATES,
+        "wrong_answer": _PREDICATES,
+        "events": _list(_mapping(("at_s", "add_rule"), {"at_s": _TIME_S, "add_rule": _RULE})),
     },
 )
+_MODELS = {"type": "object", "propertyNames": _NAME, "additionalProperties": _mapping((), _SHAPE_KEYS)}
+CATALOGUE_SCHEMA = {"$schema": "http://json-schema.org/draft-07/schema#", **_MODELS}
 WORLD_SCHEMA = {
     "$schema": "http://json-schema.org/draft-07/schema#",
     **_mapping(
@@ -120,9 +194,10 @@ WORLD_SCHEMA = {
             "name": _NAME,
             "description": {"type": "string", "maxLength": 2000},
             "lighting": _LIGHTING,
-            "surfaces": {"type": "array", "items": _SURFACE, "minItems": 1},
-            "models": {"type": "object", "propertyNames": _NAME, "additionalProperties": _mapping((), _SHAPE_KEYS)},
-            "objects": {"type": "array", "items": _OBJECT},
+            "variation": _VARIATION,
+            "surfaces": _list(_SURFACE, 1),
+            "models": _MODELS,
+            "objects": _list(_OBJECT),
             "tasks": {"type": "object", "propertyNames": _NAME, "minProperties": 1, "additionalProperties": _TASK},
         },
     ),
@@ -158,20 +233,28 @@ def _explain(error: jsonschema.ValidationError) -> Tuple[Tuple, str, str]:
         return path + (unknown,), "unknown key", ", ".join(sorted(known))
     if error.validator == "required":
         missing = [key for key in error.validator_value if key not in error.instance][0]
-        return path + (missing,), "missing", "this key is required"
+        choices = error.schema["properties"][missing].get("enum")
+        return path + (missing,), "missing", "this key is required" + (f": {', '.join(choices)}" if choices else "")
     if "propertyNames" in error.absolute_schema_path:  # the instance is the offending name itself
         path = path + (error.instance,)
     allowed = _ALLOWED.get(error.validator, lambda limit: f"{error.validator} {limit}")(error.validator_value)
+    if "examples" in error.schema:
+        allowed = "text like " + " or ".join(error.schema["examples"])
     return path, f"got {_shorten(error.instance)}", allowed
 
 
 def check_schema(source: YamlSource) -> None:
-    """Check a world file against WORLD_SCHEMA.
+    """Check a world file against WORLD_SCHEMA; ConfigError is the first complaint, in the order of the file."""
+    _check(source, WORLD_SCHEMA)
 
-    Raises:
-        ConfigError: the first complaint, in the order of the file, as one line.
-    """
-    errors = list(jsonschema.Draft7Validator(WORLD_SCHEMA).iter_errors(source.data))
+
+def check_catalogue(source: YamlSource) -> None:
+    """Check a catalogue of models against CATALOGUE_SCHEMA; ConfigError as of check_schema."""
+    _check(source, CATALOGUE_SCHEMA)
+
+
+def _check(source: YamlSource, schema: Dict[str, Any]) -> None:
+    errors = list(jsonschema.Draft7Validator(schema).iter_errors(source.data))
     complaints = [source.error(*_explain(error)) for error in errors]
     if complaints:
         raise min(complaints, key=_line_of)

@@ -59,6 +59,8 @@ struct InstanceParams {
 struct SemanticMapParams {
   double resolution_m = 0.2;
   double window_m = 20.0;  ///< edge of the published, robot-centred window
+  /// false: predicates and labels decide nothing; what depth does not show as an obstacle is safe
+  bool semantics = true;
   std::string operators =
       "ground";        ///< "image": as printed in [CORE]; "ground": on held instances, in metres
   int kernel_px = 50;  ///< of the image-space AROUND

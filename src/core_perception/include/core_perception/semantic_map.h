@@ -30,7 +30,8 @@ class SemanticMap {
   /// Adds a frame under the constraints in force at its stamp. While no constraints are in force
   /// objects are tracked but nothing is voted, and no region is made. Exemptions are heeded only
   /// when they count by the numbers of this history, and only by ground operators: those on pixels
-  /// know no objects.
+  /// know no objects. With parameter semantics false constraints are never in force, and every
+  /// point below the metric band or above it votes safe.
   /// @throws FrameError the frame cannot be used; nothing has changed then.
   const SafetyGrid& update(const Frame& frame, const Constraints& constraints);
 

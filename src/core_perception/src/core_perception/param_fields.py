@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Callable
 
 from core_perception.exceptions import ParameterError, PerceptionError
-from core_perception.predicates import parse_predicate
+from core_perception.predicates import canonical_class_name, parse_predicate
 from core_perception.prompt import check_sentence
 
 
@@ -99,6 +99,17 @@ def statements():
     return field(
         default=(), metadata={"read": read, "allowed": "a list such as ['ON(floor)=safe', 'AROUND(forklift, 1.5)']"}
     )
+
+
+def class_names():
+    """Field of a list of class names, which become canonical."""
+
+    def read(value):
+        if not isinstance(value, (list, tuple)) or not all(isinstance(name, str) for name in value):
+            raise ValueError
+        return tuple(canonical_class_name(name) for name in value)
+
+    return field(default=(), metadata={"read": read, "allowed": "a list of class names such as [traffic_cone]"})
 
 
 def read_parameters(cls: Callable, values: dict):

@@ -7,11 +7,22 @@ from dataclasses import dataclass
 from typing import Tuple
 
 from core_perception.exceptions import ParameterError
-from core_perception.param_fields import choice, flag, number, path, read_parameters, sentences, statements, text, whole
+from core_perception.param_fields import (
+    choice,
+    class_names,
+    flag,
+    number,
+    path,
+    read_parameters,
+    sentences,
+    statements,
+    text,
+    whole,
+)
 
-REASONERS = ("ontology", "auto", "ollama", "openai", "static", "oracle", "emulated", "replay")
+REASONERS = ("ontology", "auto", "ollama", "openai", "static", "oracle", "emulated", "scripted", "replay", "none")
 #: Of these an answer is there at once: where none comes, the chain is broken.
-PROMPT_REASONERS = ("ontology", "static", "oracle")
+PROMPT_REASONERS = ("ontology", "static", "oracle", "none")
 
 
 @dataclass(frozen=True)
@@ -28,7 +39,7 @@ class ReasonerParams:
         ontology_file: class list; empty means the package's own.
         wordnet_dir: folder of WordNet's noun files; empty means that of Debian's wordnet-base.
         rules_file: rules of the static reasoner; empty means the package's own.
-        predicates: true rules, for the oracle and the emulated reasoner.
+        predicates: true rules, for the oracle and the emulated reasoner; what scripted says.
         memory: what was seen stays in force (constraint memory, held instances, found arrangements); false answers from
             the newest frame alone.
         embedded_rules: what the ontology calls unsafe holds besides what a model says.
@@ -57,6 +68,7 @@ class ReasonerParams:
         record_dir: every reply is written here, for replay; empty means none.
         record_images: write the images too.
         replay_dir: recording that the replay reasoner answers from.
+        scripted_latency_s: declared sim latency of the scripted reasoner [s].
         emulated_row: row of the tables of [CORE] that the emulated reasoner imitates.
         emulated_correlation: errors drawn for each answer, or once for each scene.
         seed: of the sampler, the emulated errors and the pauses after failures.
@@ -97,6 +109,7 @@ class ReasonerParams:
     record_dir: str = path("", "the path of a folder, or empty")
     record_images: bool = flag(False)
     replay_dir: str = path("", "the path of a recording, or empty")
+    scripted_latency_s: float = number(4.1, 0.0, 60.0, above=True)
     emulated_row: str = text("gemma3-27b", "a row of config/emulated.yaml")
     emulated_correlation: str = choice("independent", "independent", "scene")
     seed: int = whole(0, 0, 2**31 - 1)
@@ -109,7 +122,7 @@ class ReasonerParams:
             ParameterError: unknown key, wrong type, value out of range, or a value that the chosen reasoner lacks.
         """
         params = read_parameters(cls, values)
-        if params.reasoner in ("oracle", "emulated") and not params.predicates:
+        if params.reasoner in ("oracle", "emulated", "scripted") and not params.predicates:
             allowed = f"at least one statement with reasoner {params.reasoner}"
             raise ParameterError("predicates", list(params.predicates), allowed)
         if params.reasoner == "replay" and not params.replay_dir:
@@ -130,7 +143,8 @@ class SegmenterParams:
         miss_rate: probability that an instance is missed in a frame.
         pixel_drop_rate: share of the pixels of a mask that are dropped.
         erode_px: width by which masks are eroded [px].
-        seed: seed of the three errors above and of the label numbers.
+        missed_classes: classes that are never found.
+        seed: seed of the random errors and of the label numbers.
     """
 
     segmenter: str = choice("simulated", "simulated")
@@ -139,6 +153,7 @@ class SegmenterParams:
     miss_rate: float = number(0.0, 0.0, 1.0)
     pixel_drop_rate: float = number(0.0, 0.0, 1.0)
     erode_px: int = whole(0, 0, 50)
+    missed_classes: Tuple[str, ...] = class_names()
     seed: int = whole(0, 0, 2**31 - 1)
 
     @classmethod

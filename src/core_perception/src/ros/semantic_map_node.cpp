@@ -157,8 +157,8 @@ bool SemanticMapNode::process(const FrameMessages& messages) {
     map_.update(frame, constraints);
     std_msgs::Header header = mapHeader();
     header.stamp = messages.depth->header.stamp;
-    publish(header,
-            messages.constraints == nullptr ? ros::Time() : messages.constraints->image_stamp);
+    const bool heeded = params_.map.semantics && messages.constraints != nullptr;
+    publish(header, heeded ? messages.constraints->image_stamp : ros::Time());
     ++n_frames_;
   } catch (const FrameError& error) {
     reject(error.reason(), error.what());

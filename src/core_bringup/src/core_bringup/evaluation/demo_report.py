@@ -10,6 +10,7 @@ from typing import Dict, List, Mapping, Optional, Sequence
 from core_bringup.evaluation.trial import OUTCOMES
 
 NOBODY = "nobody, roslaunch.log says why"
+NOBODY_ASKED = "nobody: the method has no reasoner"
 
 
 def format_progress(progress: Mapping[str, object]) -> str:
@@ -30,7 +31,7 @@ def format_table(result: Mapping[str, object], folder: Path) -> str:
     """The table at the end of one run: one row per figure."""
     rows = [
         ("outcome", f"{result.get('outcome')}" + (f"  ({result['end_detail']})" if result.get("end_detail") else "")),
-        ("who answered", f"{result.get('predicates_source') or NOBODY}  (reasoner:={result.get('reasoner')})"),
+        ("who answered", _name_source(result)),
         ("smallest clearance", _number(result.get("min_clearance_m"), "m")),
         ("stop gap", _number(result.get("stop_gap_m"), "m")),
         ("goal distance", _number(result.get("goal_distance_m"), "m")),
@@ -93,3 +94,8 @@ def format_counts(counts: Mapping[str, int]) -> str:
 
 def _number(value: Optional[object], unit: str) -> str:
     return "-" if value is None else f"{float(value):.2f} {unit}".rstrip()
+
+
+def _name_source(result: Mapping[str, object]) -> str:
+    nobody = NOBODY_ASKED if result.get("reasoner") == "none" else NOBODY
+    return f"{result.get('predicates_source') or nobody}  (reasoner:={result.get('reasoner')})"

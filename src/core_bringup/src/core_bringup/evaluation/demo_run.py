@@ -21,7 +21,7 @@ TAIL_LINES = 20
 MAX_SILENCE_S = 240.0
 # roslaunch ends by itself after the result; then it is stopped [s].
 MAX_ENDING_S = 20.0
-STALE_FILES = ("result.json", "topdown.png", "frame_1.png", "frame_2.png", "frame_3.png", "trajectory.csv")
+STALE_FILES = ("result.json", "topdown.png", "frame_1.png", "frame_2.png", "frame_3.png", "trajectory.csv", "trial.bag")
 BAD_INPUT = re.compile(r"exit code 2, cmd (?P<cmd>\S+)(?P<rest>.*)")
 DEATH = re.compile(r"\[(?P<node>[\w/.-]+)-\d+\] (?:process )?has died")
 EXIT_CODE = re.compile(r"exit code (?P<code>-?\d+)")

@@ -26,6 +26,7 @@ class GridSnapshot:
         state: (rows, columns) SAFE, UNSAFE or UNKNOWN.
         cause: (rows, columns) index into rules; larger than any index where there is none.
         rules: rule of every cause, for example BETWEEN(traffic_cone).
+        classes: class of every cause, empty for none; as long as rules, or empty when nobody asks.
         unknown_is_unsafe: the filter keeps out of unknown cells too.
     """
 
@@ -39,12 +40,22 @@ class GridSnapshot:
     cause: np.ndarray
     rules: Tuple[str, ...] = ()
     unknown_is_unsafe: bool = True
+    classes: Tuple[str, ...] = ()
 
     @property
     def closed(self) -> np.ndarray:
         """(rows, columns) bool: cells that a region rule makes unsafe, whatever was seen there."""
         indices = [i for i, rule in enumerate(self.rules) if rule.startswith(REGION_OPERATORS)]
         return (self.state == UNSAFE) & np.isin(self.cause, indices)
+
+    @property
+    def semantic(self) -> np.ndarray:
+        """(rows, columns) bool: cells that are unsafe by a predicate, or for want of one for a class that was seen."""
+        classes = self.classes or ("",) * len(self.rules)
+        named = [
+            i for i, (rule, name) in enumerate(zip(self.rules, classes)) if "(" in rule or (rule == "NOT_SAFE" and name)
+        ]
+        return (self.state == UNSAFE) & np.isin(self.cause, named)
 
     @property
     def region_rules(self) -> Tuple[str, ...]:
@@ -63,6 +74,7 @@ class GridHistory:
         self._stamp_ns = -1
         self.p_unsafe = np.zeros((0, 0))
         self.h_m = np.zeros((0, 0))
+        self.semantic = np.zeros((0, 0), dtype=bool)
 
     @property
     def empty(self) -> bool:
@@ -100,6 +112,7 @@ class GridHistory:
         p_unsafe = np.where((votes > 0) & ~grid.closed, grid.n_unsafe / np.maximum(votes, 1.0), 1.0)
         self.p_unsafe[window] = np.where(known, p_unsafe, self.p_unsafe[window])
         self.h_m[window] = grid.h_m
+        self.semantic[window] = np.where(known, grid.semantic, self.semantic[window])
 
     def _cell_of(self, grid: GridSnapshot) -> Tuple[int, int]:
         return tuple(int(round((o - d) / grid.resolution_m)) for o, d in zip(grid.origin_m, self._offset_m))
@@ -114,5 +127,6 @@ class GridHistory:
             pad = ((low, high), (left, right))
             self.p_unsafe = np.pad(self.p_unsafe, pad, constant_values=np.nan)
             self.h_m = np.pad(self.h_m, pad, constant_values=np.nan)
+            self.semantic = np.pad(self.semantic, pad, constant_values=False)
             self._first_cell = (self._first_cell[0] - left, self._first_cell[1] - low)
         return slice(row, row + shape[0]), slice(column, column + shape[1])

@@ -7,6 +7,7 @@ import contextlib
 import ctypes
 import os
 import queue
+import random
 import re
 import signal
 import socket
@@ -15,10 +16,14 @@ import threading
 import time
 import uuid
 from pathlib import Path
-from typing import IO, Dict, Iterator, List, Optional, Sequence
+from typing import IO, Dict, Iterator, List, Optional, Sequence, Tuple
 
 RUN_ID_VARIABLE = "CORE_RUN_ID"
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
+# Looked up here: between fork and exec a thread of this process may hold the lock that the look-up takes.
+_prctl = ctypes.CDLL(None, use_errno=True).prctl
+FIRST_PORT, PORT_ATTEMPTS = 12000, 1000
+PORT_RANGE_FILE = Path("/proc/sys/net/ipv4/ip_local_port_range")
 # How long each signal may take [s]; roslaunch itself gives its nodes 15 s after SIGINT.
 STOP_DEADLINES_S = ((signal.SIGINT, 17.0), (signal.SIGTERM, 4.0), (signal.SIGKILL, 2.0))
 ANSI_CODE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|\x1b\][^\x07]*\x07|\r")
@@ -44,11 +49,12 @@ class RoslaunchProcess:
         self._lines: queue.Queue[Optional[str]] = queue.Queue()
         self._process: Optional[subprocess.Popen] = None
         self._reader: Optional[threading.Thread] = None
+        self._claim: Optional[socket.socket] = None
 
     def __enter__(self) -> RoslaunchProcess:
         """Start roslaunch on a free port."""
         self._log_path.parent.mkdir(parents=True, exist_ok=True)
-        port = find_free_port()
+        port, self._claim = claim_port()
         self._process = subprocess.Popen(
             [self._command[0], "-p", str(port), *self._command[1:]],
             env=self._environment(port),
@@ -66,6 +72,7 @@ class RoslaunchProcess:
         """Stop whatever is still running; a second Ctrl-C does not interrupt this."""
         with _signals_held():
             self.stop()
+            self._claim.close()
 
     @property
     def exit_code(self) -> Optional[int]:
@@ -135,11 +142,28 @@ class RoslaunchProcess:
         self._lines.put(None)
 
 
-def find_free_port() -> int:
-    """A TCP port nobody listens on at this moment."""
-    with contextlib.closing(socket.socket(socket.AF_INET, socket.SOCK_STREAM)) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+def claim_port() -> Tuple[int, socket.socket]:
+    """A TCP port nobody listens on, and the claim that keeps other calls of this function away from it until closed.
+
+    A roslaunch whose port is taken joins the master that is there, and the nodes of two graphs end each other. So the
+    port is none that the system gives to others, and a local socket named after it stands for it, which the kernel
+    removes when its process dies.
+
+    Raises:
+        OSError: no port is free.
+    """
+    low = int(PORT_RANGE_FILE.read_text(encoding="ascii").split()[0]) if PORT_RANGE_FILE.exists() else 32768
+    for _ in range(PORT_ATTEMPTS):
+        port = random.SystemRandom().randrange(min(FIRST_PORT, low - 1000), low)
+        claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        try:
+            claim.bind(f"\0core_master_port_{port}")
+            with contextlib.closing(socket.socket(socket.AF_INET, socket.SOCK_STREAM)) as probe:
+                probe.bind(("127.0.0.1", port))
+            return port, claim
+        except OSError:
+            claim.close()
+    raise OSError(f"no free port in {PORT_ATTEMPTS} attempts")
 
 
 def find_processes(variable: str, value: str) -> List[int]:
@@ -158,7 +182,7 @@ def find_processes(variable: str, value: str) -> List[int]:
 def _die_with_parent() -> None:
     # A shell starts background jobs with SIGINT ignored, and that would be inherited down to every node.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGINT)
+    _prctl(PR_SET_PDEATHSIG, signal.SIGINT)
 
 
 @contextlib.contextmanager

@@ -5,13 +5,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, List
 
-from core_bringup.evaluation.preflight import BACKENDS, METHODS, PROFILES
+from core_bringup.evaluation.preflight import BACKENDS, KEEPING, METHODS, PROFILES
 from core_bringup.exceptions import ConfigError
 from core_perception.params import REASONERS
 
-CHOICES = {"method": METHODS, "profile": PROFILES, "backend": BACKENDS, "reasoner": REASONERS}
+CHOICES = {
+    "method": METHODS,
+    "profile": PROFILES,
+    "backend": BACKENDS,
+    "reasoner": REASONERS,
+    "pictures": KEEPING,
+    "bag": KEEPING,
+}
+# Arguments of demo.launch that result.json names when they are not empty, besides those that every run has.
+OPTIONAL_WORDS = ("emulated_row", "model", "server_url", "replay_dir", "reasoner_params", "overrides")
+FIXED_WORDS = (
+    *("world", "task", "method", "profile", "seed", "backend", "robot", "reasoner", "lockstep", "pictures", "bag"),
+)
 
 
 @dataclass(frozen=True)
@@ -26,6 +38,10 @@ class MonitorParams:
         seed: variation of the world, as given to world_bridge.
         results: folder of the results.
         lockstep: join the streams by equal stamps and count every tick.
+        pictures: when to draw: always, failed (only a trial that is no success) or never.
+        bag: when to write trial.bag, the same words.
+        emulated_row, model, server_url, replay_dir, reasoner_params, overrides: arguments of demo.launch, for the
+            record.
         unpause: set a paused world going once every topic is connected.
         start_timeout_s: longest wait for the first tick [s, wall].
         stall_timeout_s: longest wait for any later tick [s, wall]; longer than the bridge's own limit, which names
@@ -42,6 +58,14 @@ class MonitorParams:
     seed: int = 0
     results: str = "results/demo"
     lockstep: bool = True
+    pictures: str = "always"
+    bag: str = "never"
+    emulated_row: str = ""
+    model: str = ""
+    server_url: str = ""
+    replay_dir: str = ""
+    reasoner_params: str = ""
+    overrides: str = ""
     unpause: bool = True
     start_timeout_s: float = 120.0
     stall_timeout_s: float = 90.0
@@ -60,6 +84,17 @@ class MonitorParams:
             _check(key, value, known[key].default)
         return cls(**values)
 
+    def launch_words(self) -> List[str]:
+        """The arguments of demo.launch that repeat the run, as name:=value; the folder of the results is left out."""
+        names = [*FIXED_WORDS, *(name for name in OPTIONAL_WORDS if getattr(self, name))]
+        values = {name: getattr(self, name) for name in names}
+        return [f"{name}:={str(v).lower() if isinstance(v, bool) else v}" for name, v in values.items()]
+
+    def keeps(self, name: str, success: bool) -> bool:
+        """Whether pictures or bag (name) are to be kept of a trial that was a success or not."""
+        word = getattr(self, name)
+        return word == "always" or (word == "failed" and not success)
+
 
 def _check(key: str, value: Any, default: Any) -> None:
     if key in CHOICES:
@@ -71,6 +106,8 @@ def _check(key: str, value: Any, default: Any) -> None:
     elif isinstance(default, float):
         ok = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value) and value > 0
         allowed = "a finite number > 0"
+    elif key in OPTIONAL_WORDS:
+        ok, allowed = isinstance(value, str), "a text"
     else:
         ok, allowed = isinstance(value, str) and bool(value.strip()), "a text that is not empty"
     if not ok:

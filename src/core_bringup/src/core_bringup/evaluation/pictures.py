@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Dict, List, Sequence, Tuple
+from typing import List, Mapping, Sequence, Tuple
 
 import matplotlib
 
@@ -21,23 +21,28 @@ from matplotlib.figure import Figure  # noqa: E402
 from matplotlib.lines import Line2D  # noqa: E402
 from matplotlib.patches import Circle, Patch, Polygon  # noqa: E402
 
+from core_bringup.evaluation.floor_plan import (  # noqa: E402
+    EDGE_COLOR,
+    FLOOR_COLOR,
+    REGION_COLOR,
+    WAY_COLOR,
+    class_colors,
+    draw_objects,
+    draw_regions,
+    draw_surfaces,
+    draw_ways,
+    rectangle_corners,
+)
 from core_bringup.evaluation.grid_history import GridHistory  # noqa: E402
 from core_bringup.evaluation.records import TickRecord  # noqa: E402
 from core_bringup.evaluation.results import atomic_path  # noqa: E402
+from core_bringup.motion import Poses  # noqa: E402
+from core_bringup.regions import NO_POSES, object_place, region_outline_m  # noqa: E402
 
 MARGIN_M = 1.5  # shown around everything that matters
-FLOOR_COLOR, EDGE_COLOR, BARRIER_COLOR, REGION_COLOR = "#f1efe9", "#4a4a4a", "#b3001b", "#d1495b"
+BARRIER_COLOR = "#b3001b"
 P_UNSAFE_COLORS = LinearSegmentedColormap.from_list("p_unsafe", ["#4c9f70", "#f3e9a6", "#d1495b"])
 PATH_COLORS = "cividis"
-# Meshes carry their colours in their textures; on the plan a class has one colour.
-CLASS_COLORS = {
-    "traffic_cone": "#f26b21",
-    "storage_rack": "#5b7aa6",
-    "cardboard_box": "#c79a62",
-    "pallet": "#8d6e4a",
-    "wall": "#9a9a94",
-}
-OTHER_CLASS_COLORS = ("#7a5ea8", "#3f8f8b", "#a65b7a", "#6b8f3f", "#8f6f3f", "#4f6fb0")
 OUTCOME_COLORS = {"prevented": "#1b7f4b", "reached": "#1b7f4b", "timid": "#b7791f", "timeout": "#b7791f"}
 FAILURE_COLOR = "#b3001b"
 
@@ -54,6 +59,8 @@ class TopDownScene:
         footprint_m: length and width of the robot [m].
         outcome: word of the outcome, shown first and coloured.
         lines: one or two lines of text for the title.
+        poses: of the moving objects at the end.
+        ways_m: (n, 2) way of every object that moved, by id.
     """
 
     world: object
@@ -63,6 +70,8 @@ class TopDownScene:
     footprint_m: Tuple[float, float]
     outcome: str
     lines: Tuple[str, ...] = ()
+    poses: Poses = field(default_factory=lambda: NO_POSES)
+    ways_m: Mapping[int, np.ndarray] = field(default_factory=dict)
 
 
 def draw_topdown(path: Path, scene: TopDownScene) -> None:
@@ -78,10 +87,11 @@ def draw_topdown(path: Path, scene: TopDownScene) -> None:
     height_in = min(max(width_in * 0.74 * (y_max - y_min) / (x_max - x_min), 4.0), 12.0) + 1.9
     figure = Figure(figsize=(width_in, height_in), dpi=120, layout="constrained")
     axes = figure.add_subplot()
-    _draw_surfaces(axes, scene)
+    draw_surfaces(axes, scene.world.surfaces)
     _draw_grid(axes, scene)
-    _draw_regions(axes, scene)
-    _draw_objects(axes, scene)
+    draw_regions(axes, scene.task.unsafe_regions, scene.poses)
+    draw_objects(axes, scene.world.objects, scene.poses)
+    draw_ways(axes, scene.ways_m)
     _draw_path(axes, scene)
     axes.set_xlim(x_min, x_max)
     axes.set_ylim(y_min, y_max)
@@ -96,13 +106,6 @@ def draw_topdown(path: Path, scene: TopDownScene) -> None:
         figure.savefig(str(temporary), format="png")
 
 
-def rectangle_corners(x_m: float, y_m: float, yaw_rad: float, length_m: float, width_m: float) -> np.ndarray:
-    """(4, 2) corners of a rectangle centred on (x, y), turned by yaw, counter-clockwise [m]."""
-    half = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * 0.5 * np.array([length_m, width_m])
-    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
-    return half @ np.array([[c, s], [-s, c]]) + np.array([x_m, y_m])
-
-
 def yaw_of(quaternion: Sequence[float]) -> float:
     """Heading [rad] of a quaternion x, y, z, w: atan2(2 (w z + x y), 1 - 2 (y^2 + z^2))."""
     x, y, z, w = quaternion
@@ -112,7 +115,7 @@ def yaw_of(quaternion: Sequence[float]) -> float:
 def _view(scene: TopDownScene) -> Tuple[float, float, float, float]:
     """(x_min, x_max, y_min, y_max) of what is shown: start, path, goal and regions with a margin, inside the world."""
     points = [np.array([r.position_m for r in scene.records]), np.reshape(scene.task.goal_m, (1, 2))]
-    points += [np.asarray(region.polygon_m) for region in scene.task.unsafe_regions]
+    points += [region_outline_m(region, scene.poses) for region in scene.task.unsafe_regions]
     low, high = np.min(np.vstack(points), axis=0) - MARGIN_M, np.max(np.vstack(points), axis=0) + MARGIN_M
     floor = np.vstack([np.asarray(surface.polygon_m) for surface in scene.world.surfaces])
     low, high = np.maximum(low, floor.min(axis=0) - 0.3), np.minimum(high, floor.max(axis=0) + 0.3)
@@ -123,13 +126,6 @@ def _view(scene: TopDownScene) -> Tuple[float, float, float, float]:
         if missing > 0:
             low[axis], high[axis] = low[axis] - 0.5 * missing, high[axis] + 0.5 * missing
     return low[0], high[0], low[1], high[1]
-
-
-def _draw_surfaces(axes: Axes, scene: TopDownScene) -> None:
-    axes.set_facecolor("white")
-    for i, surface in enumerate(scene.world.surfaces):
-        color = FLOOR_COLOR if i == 0 else tuple(0.5 + 0.5 * np.asarray(surface.color_rgba)[:3])
-        axes.add_patch(Polygon(surface.polygon_m, facecolor=color, edgecolor="#c9c5ba", linewidth=0.8, zorder=0))
 
 
 def _draw_grid(axes: Axes, scene: TopDownScene) -> None:
@@ -147,44 +143,6 @@ def _draw_grid(axes: Axes, scene: TopDownScene) -> None:
         x_m = extent[0] + (np.arange(columns) + 0.5) * (extent[1] - extent[0]) / columns
         y_m = extent[2] + (np.arange(rows) + 0.5) * (extent[3] - extent[2]) / rows
         axes.contour(x_m, y_m, h_m, levels=[0.0], colors=[BARRIER_COLOR], linewidths=1.8, zorder=4)
-
-
-def _draw_regions(axes: Axes, scene: TopDownScene) -> None:
-    for region in scene.task.unsafe_regions:
-        axes.add_patch(
-            Polygon(
-                region.polygon_m,
-                fill=False,
-                edgecolor=REGION_COLOR,
-                linewidth=1.6,
-                linestyle="--",
-                hatch="//",
-                alpha=0.75,
-                zorder=3,
-            )
-        )
-
-
-def _class_colors(scene: TopDownScene) -> Dict[str, object]:
-    """Colour of every class on the plan, in order of first appearance."""
-    colors: Dict[str, object] = {}
-    for item in scene.world.objects:
-        if item.class_name not in colors:
-            other = OTHER_CLASS_COLORS[len(colors) % len(OTHER_CLASS_COLORS)]
-            own = other if item.shape == "mesh" else tuple(np.asarray(item.color_rgba)[:3])
-            colors[item.class_name] = CLASS_COLORS.get(item.class_name, own)
-    return colors
-
-
-def _draw_objects(axes: Axes, scene: TopDownScene) -> None:
-    colors = _class_colors(scene)
-    for item in sorted(scene.world.objects, key=lambda item: float(item.position_m[2])):
-        x_m, y_m = float(item.position_m[0]), float(item.position_m[1])
-        style = {"facecolor": colors[item.class_name], "edgecolor": EDGE_COLOR, "linewidth": 0.8, "zorder": 5}
-        if getattr(item, "collision", item.shape) == "cylinder":
-            axes.add_patch(Circle((x_m, y_m), float(item.size_m[0]) / 2, **style))
-        else:
-            axes.add_patch(Polygon(rectangle_corners(x_m, y_m, item.yaw_rad, item.size_m[0], item.size_m[1]), **style))
 
 
 def _draw_path(axes: Axes, scene: TopDownScene) -> None:
@@ -261,7 +219,15 @@ def _add_title(axes: Axes, scene: TopDownScene) -> None:
 
 
 def _add_legend(axes: Axes, scene: TopDownScene) -> None:
-    colors = _class_colors(scene)
+    x_min, x_max, y_min, y_max = _view(scene)
+    reach_m = {item.name: 0.5 * max(item.collision_size_m[:2]) for item in scene.world.objects}
+    shown = {
+        item.class_name
+        for item in scene.world.objects
+        if x_min - reach_m[item.name] < object_place(item, scene.poses)[0][0] < x_max + reach_m[item.name]
+        and y_min - reach_m[item.name] < object_place(item, scene.poses)[0][1] < y_max + reach_m[item.name]
+    }
+    colors = {name: color for name, color in class_colors(scene.world.objects).items() if name in shown}
     handles: List[object] = [
         Patch(facecolor=c, edgecolor=EDGE_COLOR, label=name.replace("_", " ")) for name, c in colors.items()
     ]
@@ -272,6 +238,8 @@ def _add_legend(axes: Axes, scene: TopDownScene) -> None:
         handles.append(
             Patch(fill=False, edgecolor=REGION_COLOR, hatch="//", linestyle="--", label="true unsafe region")
         )
+    if scene.ways_m:
+        handles.append(Line2D([], [], color=WAY_COLOR, linewidth=2, linestyle=(0, (1, 1.5)), label="way of an object"))
     if not scene.grids.empty:
         handles.append(Line2D([], [], color=BARRIER_COLOR, linewidth=1.8, label="barrier h = 0"))
     if handles:

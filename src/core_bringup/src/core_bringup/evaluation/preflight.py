@@ -6,37 +6,31 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Callable, Dict, Optional, Sequence, Union
+from typing import Dict, Optional, Sequence
 
-import rospkg
-
+from core_bringup.evaluation.node_parameters import SOURCE, check_nodes
+from core_bringup.evaluation.node_parameters import find_package_folder as find_package_folder
 from core_bringup.exceptions import ConfigError
-from core_bringup.params import BACKENDS, BridgeParams
+from core_bringup.methods import METHODS, REASONERS_OF_METHOD, SCRIPTED
+from core_bringup.params import BACKENDS
 from core_bringup.params import find_robot_file as shipped_robot_file
 from core_bringup.robot import RobotConfig
 from core_bringup.world import load_world
-from core_bringup.yaml_source import YamlSource
-from core_control.params import FilterParams, WaypointParams
-from core_perception.params import REASONERS, ReasonerParams, SegmenterParams
+from core_perception.params import REASONERS
 
-SOURCE = "demo"
-METHODS = ("core", "none")
 PROFILES = ("core", "paper")
 RENDERERS = ("tiny", "egl")
+KEEPING = ("always", "failed", "never")
 MAX_SEED = 2**31 - 1
 DEFAULT_RESULTS = "results/demo"
-# Nodes whose part of config/<profile>.yaml is read here before they start; semantic_map is C++ and reads its own.
-PROFILE_READERS = {
-    "core_perception": {"safety_reasoner": ReasonerParams.from_dict, "segmenter": SegmenterParams.from_dict},
-    "core_control": {"cbf_filter": FilterParams.from_dict, "waypoint_controller": WaypointParams.from_dict},
-}
 
 
 @dataclass(frozen=True)
 class DemoRequest:
     """Arguments of launch/demo.launch, checked; the field names are the argument names.
 
-    rtf None means: as fast as possible under lock-step when nobody watches, in real time otherwise.
+    An empty reasoner means the usual one of the method. rtf None means: as fast as possible under lock-step when nobody
+    watches, in real time otherwise.
     """
 
     world: str = "warehouse"
@@ -52,13 +46,21 @@ class DemoRequest:
     renderer: str = "tiny"
     view: bool = False
     results: str = DEFAULT_RESULTS
-    reasoner: str = "ontology"
+    reasoner: str = ""
     model: str = ""
     server_url: str = ""
     emulated_row: str = "gemma3-27b"
     record_dir: str = ""
     replay_dir: str = ""
     reasoner_params: str = ""
+    pictures: str = "always"
+    bag: str = "never"
+    overrides: str = ""
+
+    def __post_init__(self):
+        """Choose the reasoner."""
+        if not self.reasoner:
+            object.__setattr__(self, "reasoner", REASONERS_OF_METHOD[self.method][0])
 
     def launch_arguments(self) -> Sequence[str]:
         """Every argument as roslaunch takes it, results as an absolute path."""
@@ -79,8 +81,7 @@ class DemoRequest:
         return replace(self, seed=seed, results=str(results))
 
 
-REASONER_ARGUMENTS = ("reasoner", "model", "server_url", "emulated_row", "record_dir", "replay_dir", "seed")
-PATH_ARGUMENTS = ("record_dir", "replay_dir", "reasoner_params")
+PATH_ARGUMENTS = ("record_dir", "replay_dir", "reasoner_params", "overrides")
 ARGUMENT_NAMES = tuple(DemoRequest.__dataclass_fields__)
 
 
@@ -110,8 +111,10 @@ def _read_value(name: str, text: str) -> object:
         "method": METHODS,
         "profile": PROFILES,
         "backend": BACKENDS,
-        "reasoner": REASONERS,
+        "reasoner": [name for name in REASONERS if name != SCRIPTED],
         "renderer": RENDERERS,
+        "pictures": KEEPING,
+        "bag": KEEPING,
     }
     if name in choices:
         return _read_choice(name, text, choices[name])
@@ -162,26 +165,26 @@ def check_request(request: DemoRequest) -> float:
     time_limit_s = float(world.task(request.task).time_limit_s)
     if not math.isfinite(time_limit_s):
         raise ConfigError(str(world.path), f"tasks.{request.task}.time_limit_s", f"got {time_limit_s}", "a finite time")
-    bridge = {name: getattr(request, name) for name in ("backend", "gui", "renderer", "seed", "lockstep")}
-    BridgeParams.from_dict(bridge, SOURCE)
-    RobotConfig.load(find_robot_file(request.robot))
-    check_profile(request.profile)
-    check_reasoner(request, world.task(request.task).oracle_predicates)
+    check_method(request)
+    check_nodes(request, world.task(request.task), RobotConfig.load(find_robot_file(request.robot)))
     _make_results_folder(Path(request.results))
     return time_limit_s
 
 
-def check_reasoner(request: DemoRequest, predicates: Sequence[str]) -> None:
-    """Put together the parameters that the launch file gives safety_reasoner, and read them as the node does.
+def check_method(request: DemoRequest) -> None:
+    """Refuse a reasoner or a profile that is not of the method.
 
     Raises:
-        ConfigError: a file of parameters that cannot be read, or a key or value the node would refuse.
+        ConfigError: what would be allowed.
     """
-    path = Path(request.reasoner_params) if request.reasoner_params else None
-    values = {name: getattr(request, name) for name in REASONER_ARGUMENTS if getattr(request, name)}
-    values["predicates"] = list(predicates)
-    values.update(YamlSource(path).data if path else {})  # as in the launch file, the file has the last word
-    _check_node(path or SOURCE, "safety_reasoner", ReasonerParams.from_dict, values)
+    allowed = REASONERS_OF_METHOD[request.method]
+    if request.reasoner not in allowed:
+        problem = f"got {request.reasoner!r} with method {request.method}"
+        raise ConfigError(SOURCE, "reasoner", problem, ", ".join(allowed))
+    if request.method == "geometric" and request.profile != "core":
+        raise ConfigError(
+            SOURCE, "profile", f"got {request.profile!r} with method geometric", "core: it has no profile"
+        )
 
 
 def find_robot_file(name_or_path: str) -> Path:
@@ -197,41 +200,6 @@ def find_robot_file(name_or_path: str) -> Path:
     if name_or_path not in shipped:
         raise ConfigError(str(folder), "robot", f"no robot {name_or_path!r}", ", ".join(shipped))
     return folder / f"{name_or_path}.yaml"
-
-
-def check_profile(profile: str) -> None:
-    """Read the parameter file of a profile in every package through the readers its nodes use.
-
-    Raises:
-        ConfigError: a file is missing, is no YAML, or holds a key or value a node would refuse.
-    """
-    for package, readers in PROFILE_READERS.items():
-        path = find_package_folder(package) / "config" / f"{profile}.yaml"
-        nodes = YamlSource(path).data
-        for node, reader in readers.items():
-            _check_node(path, node, reader, nodes.get(node, {}))
-
-
-def _check_node(path: Union[Path, str], node: str, reader: Callable, values: object) -> None:
-    try:
-        reader(values)
-    except ValueError as error:
-        problem = " ".join(str(error).split())
-        raise ConfigError(str(path), node, problem, "see the table of the node's parameters") from error
-
-
-def find_package_folder(package: str) -> Path:
-    """Folder of a ROS package.
-
-    Raises:
-        ConfigError: the package is not on ROS_PACKAGE_PATH.
-    """
-    try:
-        return Path(rospkg.RosPack().get_path(package))
-    except rospkg.ResourceNotFound as error:
-        raise ConfigError(
-            SOURCE, package, "package not found", "a built workspace whose devel/setup.bash was sourced"
-        ) from error
 
 
 def _make_results_folder(folder: Path) -> None:

@@ -47,6 +47,9 @@ class FilterSample:
     binding_rule: str = ""
     binding_class: str = ""
     constraints_age_s: float = float("nan")
+    grid_age_s: float = float("nan")
+    solve_time_s: float = float("nan")
+    binding_point_m: Vector2 = (float("nan"), float("nan"))
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from core_bringup.ros.bridge_publishers import BridgePublishers
 from core_bringup.ros.chain_listener import POLL_S, ChainListener
 from core_bringup.ros.conversions import command_from_msg
 from core_bringup.ros.frame_worker import FrameWorker
+from core_bringup.ros.operator_events import OperatorClient, OperatorEvents
 from core_bringup.run_control import RunControl
 from core_bringup.simulation import Simulation
 
@@ -25,7 +26,7 @@ LOG_PERIOD_S = 5.0
 
 
 class BridgeLoop(abc.ABC):
-    """What both loops share: turns, reset, pace, diagnostics.
+    """What both loops share: turns, reset, pace, diagnostics, the operator's orders.
 
     The first tick comes one period after the start, which the robot spends standing: a zero stamp is "none" in ROS.
     """
@@ -35,6 +36,7 @@ class BridgeLoop(abc.ABC):
         self._simulation, self._params, self._publishers, self._control = simulation, params, publishers, control
         self._hold = CommandHold(params.cmd_vel_timeout_s)
         self._pacer, self._meter = Pacer(params.rtf), RtfMeter()
+        self._operator = OperatorEvents(simulation.task.events, OperatorClient(params.stall_timeout_s))
         self._last_log_s = -LOG_PERIOD_S
         self._tick = 0
 
@@ -48,6 +50,7 @@ class BridgeLoop(abc.ABC):
         while not rospy.is_shutdown():
             if self._control.wait_for_turn(self._reset, POLL_S):
                 self._tick += 1
+                self._operator.play(self.stamp_ns * 1e-9)
                 self._do_tick()
                 self._control.tick_done()
             else:
@@ -62,6 +65,7 @@ class BridgeLoop(abc.ABC):
         # At tick 1 the world is as after a reset; going back would give its stamp a second time.
         if self._tick > 1:
             self._simulation.reset()
+            self._operator.reset()
             self._hold.reset()
             self._pacer.reset()
             self._tick = 0

@@ -34,6 +34,9 @@ def filter_from_msg(msg) -> FilterSample:
         binding_rule=msg.binding_rule,
         binding_class=msg.binding_class,
         constraints_age_s=msg.constraints_age_s,
+        grid_age_s=msg.grid_age_s,
+        solve_time_s=msg.solve_time_s,
+        binding_point_m=(msg.binding_point.x, msg.binding_point.y),
     )
 
 
@@ -68,5 +71,6 @@ def grid_from_msg(msg) -> GridSnapshot:
         state=state.reshape(shape),
         cause=np.asarray(msg.cause).reshape(shape),
         rules=tuple(cause.rule for cause in msg.causes),
+        classes=tuple(cause.class_name for cause in msg.causes),
         unknown_is_unsafe=bool(msg.unknown_is_unsafe),
     )

@@ -22,6 +22,7 @@ from core_bringup.evaluation.monitor_params import MonitorParams
 from core_bringup.evaluation.session import TrialSession
 from core_bringup.exceptions import BringupError
 from core_bringup.ros import trial_conversions as convert
+from core_bringup.ros.trial_bag import TrialBag
 from core_perception.ros.conversions import color_to_rgb, constraints_from_msg, depth_to_m
 
 PROGRESS_PERIOD_S = 0.5
@@ -38,6 +39,9 @@ class TrialMonitorNode:
     def __init__(self, params: MonitorParams, session: TrialSession):
         """Subscribe."""
         self._params = params
+        self._bag = TrialBag(session.camera_mount) if params.bag != "never" else None
+        if self._bag is not None:
+            self._bag.subscribe()
         self._session = session
         self._inbox: queue.Queue[Tuple[Callable, object]] = queue.Queue()
         self._diagnostics = rospy.Publisher("diagnostics", DiagnosticArray, queue_size=1)
@@ -49,9 +53,10 @@ class TrialMonitorNode:
             ),
             self._subscribe("safety_grid", numpy_msg(SafetyGrid), lambda m: session.add_grid(convert.grid_from_msg(m))),
             self._subscribe("safety/constraints", SafetyConstraints, self._on_constraints),
-            self._subscribe("camera/color/image_raw", Image, self._on_color),
-            self._subscribe("camera/depth/image_raw", Image, self._on_depth),
         ]
+        if params.pictures != "never":
+            self._subscribers.append(self._subscribe("camera/color/image_raw", Image, self._on_color))
+            self._subscribers.append(self._subscribe("camera/depth/image_raw", Image, self._on_depth))
         self._waits_to_unpause = params.unpause
         self._connected_at = self._heard_at = time.monotonic()
         self._first_tick_at: Optional[float] = None
@@ -70,8 +75,10 @@ class TrialMonitorNode:
                 self._publish_diagnostics()
         wall_time_s = 0.0 if self._first_tick_at is None else self._heard_at - self._first_tick_at
         self._drain_rest()
+        if self._bag is not None:
+            self._bag.stop()
         _print_line("progress", self._session.progress())
-        result = self._session.finish(wall_time_s)
+        result = self._session.finish(wall_time_s, None if self._bag is None else self._bag.write)
         self._publish_diagnostics(str(result["outcome"]))
         _print_line("result", result)
         return 1 if result["outcome"] == "error" else 0
@@ -102,6 +109,7 @@ class TrialMonitorNode:
 
     def _on_constraints(self, msg: SafetyConstraints) -> None:
         constraints = constraints_from_msg(msg)
+        self._session.add_latency(msg.image_stamp.to_nsec(), msg.latency.to_sec())
         self._session.add_predicates(msg.header.stamp.to_nsec(), constraints.predicates, constraints.source)
 
     def _drain(self, wait_s: float) -> None:

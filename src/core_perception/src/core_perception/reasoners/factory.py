@@ -16,10 +16,11 @@ from core_perception.predicates import parse_predicate
 from core_perception.prompt import PromptTemplate
 from core_perception.reasoners.base import Reasoner
 from core_perception.reasoners.emulated_reasoner import EmulatedReasoner, load_rows
-from core_perception.reasoners.fixed_reasoner import FixedReasoner, load_rules
+from core_perception.reasoners.fixed_reasoner import FixedReasoner, NoReasoner, load_rules
 from core_perception.reasoners.loading_client import LoadingClient
 from core_perception.reasoners.ontology_reasoner import OntologyReasoner
 from core_perception.reasoners.recording import RecordingClient, ReplayClient
+from core_perception.reasoners.scripted_reasoner import ScriptedReasoner
 from core_perception.reasoners.server_choice import choose_server
 from core_perception.reasoners.vlm_client import BackOff, VlmClient
 from core_perception.reasoners.vlm_reasoner import Sampling, VlmReasoner
@@ -68,7 +69,8 @@ def make_reasoner(params: ReasonerParams, config_dir: Path, robot_name: str = ""
         reason = f"auto chose {choice.reasoner}: {choice.reason}"
     reasoner = _make(params, config_dir, ontology, robot_name)
     memory = ConstraintMemory(ontology, params.clear_after_replies) if params.memory else None
-    embedded = _make_ontology_reasoner(params, ontology) if reasoner.reads_image and params.embedded_rules else None
+    guarded = params.embedded_rules and (reasoner.reads_image or params.reasoner == "scripted")
+    embedded = _make_ontology_reasoner(params, ontology) if guarded else None
     return ReasonerParts(reasoner, ontology, memory, embedded, reason)
 
 
@@ -77,6 +79,10 @@ def _make(params: ReasonerParams, config_dir: Path, ontology: Ontology, robot_na
         return FixedReasoner(
             "oracle", map(parse_predicate, params.predicates), "The true rules of the task, given by parameter."
         )
+    if params.reasoner == "none":
+        return NoReasoner()
+    if params.reasoner == "scripted":
+        return ScriptedReasoner(map(parse_predicate, params.predicates), params.scripted_latency_s)
     if params.reasoner == "static":
         return load_rules(params.rules_file or config_dir / "static_rules.yaml")
     if params.reasoner == "emulated":

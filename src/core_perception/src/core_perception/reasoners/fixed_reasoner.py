@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Reasoners whose rules do not depend on what they see: ``oracle`` (true rules), ``static`` (written before)."""
+"""Reasoners whose rules do not depend on what they see: ``oracle`` (true), ``static`` (written before), ``none``."""
 
 from __future__ import annotations
 
@@ -41,6 +41,17 @@ class FixedReasoner(Reasoner):
     def reason(self, evidence: Evidence) -> Answer:
         """Return the rules, stamped with the frame."""
         return Answer(replace(self._constraints, image_stamp_ns=evidence.stamp_ns))
+
+
+class NoReasoner(Reasoner):
+    """Nobody: says of every frame that there is no answer."""
+
+    source = "none"
+    reads_evidence = False
+
+    def reason(self, evidence: Evidence) -> Answer:
+        """Return constraints as before the first answer."""
+        return Answer(Constraints(justification="There is no reasoner.", source=self.source))
 
 
 def load_rules(path) -> FixedReasoner:

@@ -35,7 +35,12 @@ class SegmenterNode:
         """
         ontology = Ontology.load(params.ontology_file or config_dir() / "ontology.yaml")
         self._segmenter = SimulatedSegmenter(
-            ontology, params.seed, params.miss_rate, params.pixel_drop_rate, params.erode_px
+            ontology,
+            params.seed,
+            params.miss_rate,
+            params.pixel_drop_rate,
+            params.erode_px,
+            params.missed_classes,
         )
         self._base_vocabulary = ontology.vocabulary
         self._lockstep = params.lockstep

@@ -26,7 +26,13 @@ class SimulatedSegmenter:
     """
 
     def __init__(
-        self, ontology: Ontology, seed: int = 0, miss_rate: float = 0.0, pixel_drop_rate: float = 0.0, erode_px: int = 0
+        self,
+        ontology: Ontology,
+        seed: int = 0,
+        miss_rate: float = 0.0,
+        pixel_drop_rate: float = 0.0,
+        erode_px: int = 0,
+        missed_classes: Iterable[str] = (),
     ):
         """Set the errors; all default to none.
 
@@ -36,9 +42,11 @@ class SimulatedSegmenter:
             miss_rate: probability that an instance is missed in a frame, 0..1.
             pixel_drop_rate: share of a mask's pixels that are dropped, 0..1.
             erode_px: width by which masks shrink [px].
+            missed_classes: classes, by any of their names, that are never found although they are looked for.
         """  # noqa: D417 - all described
         self._ontology, self._seed = ontology, seed
         self._miss_rate, self._pixel_drop_rate, self._erode_px = miss_rate, pixel_drop_rate, erode_px
+        self._missed_classes = frozenset(ontology.canonical(name) for name in missed_classes)
 
     def segment(
         self, truth_labels: np.ndarray, truth_classes: Mapping[int, str], asked: Iterable[str], stamp_ns: int
@@ -83,6 +91,8 @@ class SimulatedSegmenter:
                     f"ground truth labels: got label {label} without a class, allowed {sorted(truth_classes)}"
                 )
             own = canonical_class_name(truth_classes[label])
+            if self._ontology.canonical(own) in self._missed_classes:
+                continue
             name = own if own in names else by_meaning.get(self._ontology.canonical(own))
             if name is not None:
                 found[label] = name

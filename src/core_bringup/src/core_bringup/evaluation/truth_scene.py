@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The world as it was at every tick of a finished run: where each object stood, and how far a place was from what."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Dict, List, Optional, Sequence, Tuple
+
+import cv2
+import numpy as np
+
+from core_bringup.evaluation.records import TickRecord
+from core_bringup.ground_truth import ROBOT_HEIGHT_M, object_clearance_m
+from core_bringup.motion import Poses, WorldMotion
+from core_bringup.polygons import contains_point, point_distance_m, rectangle
+from core_bringup.regions import region_clearance_m, region_outline_m
+from core_bringup.rotations import yaw_of_quaternion
+from core_bringup.world_types import WorldObject
+from core_perception.predicates import Operator, Predicate
+
+LINK_M = 2.5  # objects of one class nearer than this form one arrangement, as in core_perception
+DEFAULT_RADIUS_M = 1.0  # of an AROUND that names none, as in core_perception
+CIRCLE_CORNERS = 24
+
+
+class TruthScene:
+    """Answers questions about the true world at a tick; moving objects stand where the simulator had them.
+
+    Args:
+        world: core_bringup.world.World as the run met it (after vary_world).
+        task: the task of that world.
+        records: every tick, in order.
+        footprint_m: length and width of the robot [m].
+    """
+
+    def __init__(self, world, task, records: Sequence[TickRecord], footprint_m: Tuple[float, float]):
+        """Replay the motion of the objects."""
+        self.world, self.task, self.records, self.footprint_m = world, task, records, footprint_m
+        motion = WorldMotion(world.objects)
+        self._poses: List[Poses] = [dict(motion.advance(r.time_s, np.array(r.position_m))) for r in records]
+        self._corners_m: Optional[np.ndarray] = None
+        self._moving = {item.id for item in world.objects if item.motion is not None}
+
+    def poses(self, index: int) -> Poses:
+        """Place and heading of every moving object at a tick, by id."""
+        return self._poses[index] if self._poses else {}
+
+    def objects(self, index: int) -> List[WorldObject]:
+        """Every object at its pose of a tick."""
+        return [self._at(item, index) for item in self.world.objects]
+
+    def _at(self, item: WorldObject, index: int) -> WorldObject:
+        if item.id not in self._moving or item.id not in self.poses(index):
+            return item
+        position_m, yaw_rad = self.poses(index)[item.id]
+        return replace(item, position_m=np.asarray(position_m, dtype=float), yaw_rad=float(yaw_rad))
+
+    def outline_m(self, region, index: int) -> np.ndarray:
+        """(n, 2) outline of a true unsafe region at a tick, counter-clockwise."""
+        return region_outline_m(region, self.poses(index))
+
+    def region_clearance_m(self, region, index: int) -> float:
+        """Signed clearance between footprint and region at a tick, as ground truth measures it [m]."""
+        return region_clearance_m(region, self.footprint_outline_m(index), self.poses(index))
+
+    def footprint_outline_m(self, index: int) -> np.ndarray:
+        """(4, 2) corners of the robot's footprint at a tick, counter-clockwise."""
+        odometry = self.records[index].odometry
+        yaw_rad = yaw_of_quaternion(odometry.q_odom_base)
+        return rectangle(np.array(odometry.p_odom_base[:2]), yaw_rad, *self.footprint_m)
+
+    def paths_m(self) -> Dict[int, np.ndarray]:
+        """(n, 2) way of every object that moved, by id."""
+        ways = {i: np.array([poses[i][0][:2] for poses in self._poses if i in poses]) for i in sorted(self._moving)}
+        return {i: way for i, way in ways.items() if len(way) and float(np.ptp(way, axis=0).max()) > 0.01}
+
+    def class_clearance_m(self) -> Dict[str, float]:
+        """Smallest distance from the footprint to any object of each class, solid or not, over the run [m].
+
+        Negative where the footprint overlapped one, by the depth. Objects above ROBOT_HEIGHT_M are left out.
+        """
+        best: Dict[str, float] = {}
+        for item in self.world.objects:
+            if item.position_m[2] < ROBOT_HEIGHT_M and self.records:
+                smallest_m = min(self._clearance_m(item), best.get(item.class_name, math.inf))
+                best[item.class_name] = float(smallest_m)
+        return dict(sorted(best.items()))
+
+    def _clearance_m(self, item: WorldObject) -> float:
+        """Smallest clearance to one object over the run: all ticks at once where it is apart, else as ground truth."""
+        placed = [self._at(item, i) for i in self._indices_of(item)]
+        footprints_m = self._footprints_m()
+        if item.collision == "cylinder":
+            outlines_m = np.array([[o.position_m[:2]] for o in placed])
+            apart_m = border_distance_m(outlines_m, footprints_m) - 0.5 * float(item.collision_size_m[0])
+        else:
+            outlines_m = np.array([object_outline_m(o) for o in placed])
+            apart_m = np.minimum(
+                border_distance_m(outlines_m, footprints_m), border_distance_m(footprints_m, outlines_m)
+            )
+            apart_m = np.where(self._bases_inside(placed), 0.0, apart_m)
+        # Outlines that overlap cross near the footprint, or the base point is inside.
+        near = apart_m <= 0.5 * math.hypot(*self.footprint_m)
+        exact_m = [object_clearance_m(footprints_m[i], placed[i % len(placed)]) for i in np.flatnonzero(near)]
+        return min([*exact_m, *apart_m[~near]])
+
+    def _bases_inside(self, placed: Sequence[WorldObject]) -> np.ndarray:
+        """(ticks,) bool: the base point lies in the rectangle of an object, given at every tick or once for all."""
+        centers_m, yaws_rad = np.array([o.position_m[:2] for o in placed]), np.array([o.yaw_rad for o in placed])
+        dx, dy = (np.array([r.position_m for r in self.records]) - centers_m).T
+        c, s = np.cos(yaws_rad), np.sin(yaws_rad)
+        half_m = 0.5 * placed[0].collision_size_m[:2]
+        return (np.abs(c * dx + s * dy) <= half_m[0]) & (np.abs(c * dy - s * dx) <= half_m[1])
+
+    def _footprints_m(self) -> np.ndarray:
+        """(ticks, 4, 2) corners of the footprint."""
+        if self._corners_m is None:
+            self._corners_m = np.array([self.footprint_outline_m(i) for i in range(len(self.records))])
+        return self._corners_m
+
+    def _indices_of(self, item: WorldObject) -> Sequence[int]:
+        return range(len(self.records)) if item.id in self._moving else (0,)
+
+    def surface_at(self, point_m: Sequence[float]) -> str:
+        """Class of the highest surface at a place; of the floor where there is none."""
+        point_m = np.asarray(point_m, dtype=float)
+        under = [s for s in reversed(self.world.surfaces) if contains_point(s.polygon_m, point_m)]
+        # Of equal heights the later one covers the other.
+        return max(under, key=lambda s: s.height_m(point_m), default=self.world.surfaces[0]).class_name
+
+    def class_distance_m(self, point_m: Sequence[float], class_name: str, index: int) -> float:
+        """Distance from a place to the nearest object of a class, or of any when the name is empty; 0 inside [m]."""
+        found = [o for o in self.objects(index) if class_name in ("", o.class_name, *o.aliases)]
+        return min((outline_distance_m(object_outline_m(o), point_m) for o in found), default=math.inf)
+
+    def surface_distance_m(self, point_m: Sequence[float], class_name: str) -> float:
+        """Distance from a place to the nearest surface of a class; 0 on it [m]."""
+        found = [s for s in self.world.surfaces if s.class_name == class_name]
+        return min((outline_distance_m(s.polygon_m, point_m) for s in found), default=math.inf)
+
+    def region_distance_m(self, point_m: Sequence[float], index: int) -> float:
+        """Distance from a place to the nearest true unsafe region at a tick; 0 inside [m]."""
+        regions = self.task.unsafe_regions
+        return min((outline_distance_m(self.outline_m(r, index), point_m) for r in regions), default=math.inf)
+
+    def predicate_distance_m(self, predicate: Predicate, point_m: Sequence[float], index: int) -> float:
+        """Distance from a place to the region a predicate makes in the true world; 0 inside, inf without any [m]."""
+        if predicate.operator == Operator.ON:
+            return self.surface_distance_m(point_m, predicate.class_name)
+        if predicate.operator == Operator.BETWEEN:
+            return self._between_distance_m(predicate.class_name, point_m, index)
+        reach_m = 0.0
+        if predicate.operator == Operator.AROUND:
+            reach_m = DEFAULT_RADIUS_M if predicate.radius_m is None else predicate.radius_m
+        return max(self.class_distance_m(point_m, predicate.class_name, index) - reach_m, 0.0)
+
+    def _between_distance_m(self, class_name: str, point_m: Sequence[float], index: int) -> float:
+        items = [object_outline_m(o) for o in self.objects(index) if class_name in (o.class_name, *o.aliases)]
+        hulls = [convex_hull_m(np.vstack(cluster)) for cluster in _link(items)]
+        return min((outline_distance_m(hull, point_m) for hull in hulls), default=math.inf)
+
+
+def object_outline_m(item: WorldObject) -> np.ndarray:
+    """(n, 2) outline of what is touched of an object on the ground, counter-clockwise; a circle has 24 corners."""
+    size_m, center_m = item.collision_size_m, np.asarray(item.position_m[:2], dtype=float)
+    if item.collision == "cylinder":
+        angles = np.arange(CIRCLE_CORNERS) * 2.0 * np.pi / CIRCLE_CORNERS
+        return center_m + 0.5 * size_m[0] * np.column_stack([np.cos(angles), np.sin(angles)])
+    return rectangle(center_m, item.yaw_rad, size_m[0], size_m[1])
+
+
+def border_distance_m(points_m: np.ndarray, polygons_m: np.ndarray) -> np.ndarray:
+    """(n,) smallest distance of points (n or 1, k, 2) to the borders of polygons (n or 1, m, 2), row by row [m]."""
+    a = polygons_m[:, None, :, :]
+    edge = np.roll(polygons_m, -1, axis=1)[:, None, :, :] - a
+    to_point = points_m[:, :, None, :] - a
+    share = np.clip(np.sum(to_point * edge, axis=3) / np.sum(edge * edge, axis=3), 0.0, 1.0)
+    return np.linalg.norm(to_point - share[..., None] * edge, axis=3).min(axis=(1, 2))
+
+
+def outline_distance_m(outline_m: np.ndarray, point_m: Sequence[float]) -> float:
+    """Distance from a place to a polygon (n, 2) as an area; 0 inside [m]."""
+    point_m = np.asarray(point_m, dtype=float)
+    return 0.0 if contains_point(outline_m, point_m) else point_distance_m(outline_m, point_m)
+
+
+def convex_hull_m(points_m: np.ndarray) -> np.ndarray:
+    """(k, 2) convex hull of points (n, 2)."""
+    return cv2.convexHull(points_m.astype(np.float32)).reshape(-1, 2).astype(float)
+
+
+def _link(outlines: Sequence[np.ndarray]) -> List[List[np.ndarray]]:
+    """Groups of outlines, each linked to another of its group by a gap up to LINK_M."""
+    groups: List[List[np.ndarray]] = []
+    for outline in outlines:
+        near = [g for g in groups if any(_gap_m(outline, other) <= LINK_M for other in g)]
+        groups = [g for g in groups if not any(g is n for n in near)] + [[outline, *(o for g in near for o in g)]]
+    return groups
+
+
+def _gap_m(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.linalg.norm(a[:, None] - b[None], axis=2).min())
