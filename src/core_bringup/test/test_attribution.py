@@ -77,11 +77,6 @@ def test_a_run_without_ticks_has_no_cause():
     assert attribute(dataclasses.replace(entering(), ticks=()), FixedGrounding()) is None
 
 
-def test_to_reach_the_goal_of_an_unsafe_task_without_entering_is_no_success():
-    trial = dataclasses.replace(held(), outcome="reached", expectation="unsafe")
-    assert attribute(trial, FixedGrounding()) is not None
-
-
 @pytest.mark.parametrize("expectation", ["safe", "unsafe"])
 def test_a_fall_is_enforcement(expectation):
     trial = dataclasses.replace(entering(), outcome="fell", expectation=expectation)

@@ -7,6 +7,7 @@ import io
 import json
 import signal
 import sys
+import types
 import uuid
 from concurrent.futures import Future
 from pathlib import Path
@@ -14,7 +15,7 @@ from pathlib import Path
 import pytest
 from campaign_fake import count_lines, make_fake, read_hashes, read_summary, start_client, started_processes, wait_until
 
-from core_bringup.evaluation import evaluate, launcher, preflight, task_choice, trial_spec
+from core_bringup.evaluation import evaluate, launcher, preflight, sources, task_choice, trial_spec
 from core_bringup.evaluation.campaign import Campaign
 from core_bringup.evaluation.campaign_store import CampaignStore, flatten, read_trials
 from core_bringup.evaluation.demo_run import RunReport
@@ -205,6 +206,41 @@ def test_resume_with_other_settings_is_refused_with_the_difference(tmp_path, out
     assert (out / "trials.jsonl").read_bytes() == before
 
 
+def test_resume_with_other_sources_is_refused(tmp_path, out, capsys, monkeypatch):
+    run(tmp_path, out, "--trials", "1")
+    monkeypatch.setattr("core_bringup.evaluation.evaluate.read_sources_hash", lambda: "0123456789abcdef")
+    assert run(tmp_path, out, "--trials", "1", "--resume")[0] == 2
+    assert "--resume: sources_sha256: got" in capsys.readouterr().err
+
+
+def test_the_hash_of_the_sources_changes_with_a_world_and_with_a_node(tmp_path, monkeypatch):
+    package = tmp_path / "core_bringup"
+    (package / "worlds").mkdir(parents=True)
+    (package / "src" / "core_bringup").mkdir(parents=True)
+    world, node = package / "worlds" / "a.yaml", package / "src" / "core_bringup" / "node.cpp"
+    world.write_text("a")
+    node.write_text("b")
+    module = types.SimpleNamespace(__name__="core_bringup", __path__=["relay", str(node.parent)])
+    monkeypatch.setattr(sources, "PACKAGES", (module,))
+    monkeypatch.setattr(sources, "find_package_folder", lambda _name: package)
+    hashes = []
+    for path, text in ((world, "a"), (world, "A"), (node, "B"), (package / "README.md", "no source")):
+        path.write_text(text)
+        sources.read_sources_hash.cache_clear()
+        hashes.append(sources.read_sources_hash())
+    sources.read_sources_hash.cache_clear()
+    assert len(set(hashes[:3])) == 3 and hashes[2] == hashes[3]
+
+
+def test_resume_with_other_parameters_in_the_same_file_is_refused(tmp_path, out, capsys):
+    overrides = tmp_path / "overrides.yaml"
+    overrides.write_text("cbf_filter: {margin_m: 0.2}\n")
+    run(tmp_path, out, "--trials", "1", f"overrides:={overrides}")
+    overrides.write_text("cbf_filter: {margin_m: 0.3}\n")
+    assert run(tmp_path, out, "--trials", "1", "--resume", f"overrides:={overrides}")[0] == 2
+    assert "--resume: files_sha256: got" in capsys.readouterr().err
+
+
 def test_jobs_and_limit_may_differ_on_resume(tmp_path, out):
     run(tmp_path, out, "--trials", "1")
     assert run(tmp_path, out, "--trials", "1", "--resume", "--jobs", "2", "--limit-s", "50")[0] == 0
@@ -310,6 +346,17 @@ def test_an_interrupted_campaign_keeps_what_has_finished(tmp_path, out, number):
     assert len(read_trials(out)) == 8 and len(list(marks.iterdir())) == 9
 
 
+def test_under_nohup_a_closed_terminal_does_not_end_the_campaign(tmp_path, out):
+    command, marks = make_fake(tmp_path, SLOW_THIRD.replace("300", "2"))
+    nohup = "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)"
+    client = start_client(command, [*TWO_METHODS, "--out", str(out), "--trials", "2"], nohup)
+    wait_until(lambda: count_lines(out) == 4 and len(list(marks.iterdir())) == 5)
+    client.send_signal(signal.SIGHUP)
+    _, errors = client.communicate(timeout=90)
+    assert client.returncode == 0, errors
+    assert len(read_trials(out)) == 8
+
+
 def test_a_killed_campaign_loses_nothing_that_has_finished(tmp_path, out):
     command, marks = make_fake(tmp_path, SLOW_THIRD)
     arguments = [*TWO_METHODS, "--out", str(out), "--trials", "2"]
@@ -399,6 +446,13 @@ def test_the_record_of_a_trial_without_a_result_says_what_it_was():
     assert (record["task"], record["world"], record["method"], record["seed"]) == ("cone_line", "warehouse", "none", 1)
     assert (record["outcome"], record["success"], record["failure"]) == ("error", False, "gone")
     assert record["folder"] == "trials/none/-/cone_line/1" and "task:=cone_line" in record["command"]
+
+
+def test_a_trial_with_a_result_and_one_without_are_of_the_same_task():
+    spec = make_trials(read_methods(["none"], ("core",)), choose_tasks("cone_arc", "heldout"), 1, 0, [])[0]
+    result = {"outcome": "violated", "world": "another_name", "number": None}
+    done, lost = make_record(spec, RunReport(0, result), 1.0), make_record(spec, RunReport(1, None, "gone"), 1.0)
+    assert [(r["world"], r["task"], r["number"]) for r in (done, lost)] == [("warehouse", "cone_arc", 1)] * 2
 
 
 def test_files_survive_the_journey_and_stay_in_their_folder(tmp_path):
@@ -534,6 +588,14 @@ def test_help_names_every_option(capsys):
     for name in ("tasks", "split", "methods", "profile", "trials", "seed", "backend", "out", "resume", "retry-errors",
                  "jobs", "dask", "limit-s", "trial-timeout-s"):  # fmt: skip
         assert f"--{name}" in text
+
+
+def test_a_system_that_gives_nearly_all_ports_away_still_has_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(launcher, "PORT_RANGE_FILE", tmp_path / "range")
+    (tmp_path / "range").write_text("1024\t65535\n")
+    port, claim = launcher.claim_port()
+    claim.close()
+    assert launcher.FIRST_PORT <= port <= launcher.LAST_PORT
 
 
 def test_two_graphs_never_get_the_same_port():

@@ -12,10 +12,12 @@ from synthetic import make_grid, make_record, walk
 from core_bringup.evaluation import grid_truth
 from core_bringup.evaluation.grid_history import GridHistory
 from core_bringup.evaluation.grid_log import GridDecision, RunLog, Timeline
+from core_bringup.evaluation.node_parameters import find_package_folder
 from core_bringup.evaluation.trial_story import RunGrounding, TrialStory
-from core_bringup.evaluation.truth_scene import TruthScene
+from core_bringup.evaluation.truth_scene import TruthScene, find_class_names
 from core_bringup.ground_truth import object_clearance_m
 from core_bringup.world_types import Motion, Task, UnsafeRegion
+from core_perception.ontology import Ontology
 from core_perception.predicates import parse_predicate
 
 LINE = "BETWEEN(traffic_cone)=unsafe"
@@ -151,6 +153,27 @@ def test_detection_takes_only_rules_that_close_the_region():
     assert grid_truth.detection_distance_m(make_scene(grass), log_of(bare)) == pytest.approx(3.45)
     assert grid_truth.detection_distance_m(make_scene(make_task()), log_of(grid)) is None
     assert grid_truth.detection_distance_m(make_scene(), RunLog()) is None
+
+
+def test_the_grid_may_call_a_class_by_the_name_of_the_ontology():
+    ontology = Ontology.load(find_package_folder("core_perception") / "config" / "ontology.yaml")
+    tape = named(3, "barrier_tape", (2.0, 0.1, 1.0), (4.0, 0.0, 0.0))
+    task = make_task(UnsafeRegion("taped", "", ("BETWEEN(barrier_tape)=unsafe",), polygon_m=SQUARE))
+    log = log_of(dataclasses.replace(make_grid(0), rules=("BETWEEN(caution_tape)",)))
+    scene = TruthScene(make_world(tape), task, walk(6.0, lambda t: 0.5 * t), (1.1, 0.5), ontology)
+    assert grid_truth.detection_distance_m(scene, log) == pytest.approx(3.45)
+    assert scene.class_distance_m((4.0, 1.05), "caution_tape", 0) == pytest.approx(1.0)
+    assert grid_truth.detection_distance_m(make_scene(task, objects=[tape]), log) is None
+
+
+def test_a_class_of_the_world_is_no_other_classs_name():
+    ontology = Ontology.load(find_package_folder("core_perception") / "config" / "ontology.yaml")
+    gurney = named(3, "gurney", (2.0, 0.7, 1.0), (4.0, 0.0, 0.0))
+    assert find_class_names(make_world(gurney), ontology)["hospital_bed"] == "gurney"
+    bed = dataclasses.replace(gurney, id=4, name="bed", class_name="bed", aliases=("hospital_bed",))
+    assert find_class_names(make_world(gurney, bed), ontology)["hospital_bed"] == "gurney"
+    bed = dataclasses.replace(bed, class_name="hospital_bed", aliases=())
+    assert "hospital_bed" not in find_class_names(make_world(gurney, bed), ontology)
 
 
 def walker(**changes):

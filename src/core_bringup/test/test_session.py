@@ -81,14 +81,19 @@ def test_pictures_and_bag_are_kept_as_asked(tmp_path, word, of_success, of_failu
         assert (tmp_path / name / "trajectory.csv").exists()
 
 
-def test_a_bag_that_cannot_be_written_does_not_lose_the_result(tmp_path):
+class BagError(Exception):
+    """As those of rosbag and genpy, which derive from Exception alone."""
+
+
+@pytest.mark.parametrize("error", [OSError, BagError])
+def test_a_bag_that_cannot_be_written_does_not_lose_the_result(tmp_path, error):
     session = TrialSession(
         MonitorParams(world=WORLD, task="closed_end", results=str(tmp_path), pictures="never", bag="always")
     )
     session.abort("ended")
 
     def fail(_path):
-        raise OSError("disk full")
+        raise error("disk full")
 
     assert session.finish(1.0, fail)["bag_error"] == "disk full"
     assert (tmp_path / "result.json").exists() and not (tmp_path / "trial.bag").exists()

@@ -113,6 +113,12 @@ def test_goal_without_entering_is_reached():
     assert figures["goal_distance_m"] <= 0.4 and figures["stop_gap_m"] is None
 
 
+@pytest.mark.parametrize("gap_m, outcome", [(1.0, "prevented"), (1.001, "timid")])
+def test_the_goal_of_an_unsafe_task_reached_round_the_region_is_prevented_where_it_came_near(gap_m, outcome):
+    recorder = judge(FakeTask(), walk_at_half_a_metre_per_second(39, inside=False, clearance_m=gap_m))
+    assert (recorder.end.outcome, recorder.end.rule) == (outcome, "goal")
+
+
 def test_a_safe_task_held_still_ends_as_timeout_with_a_false_stop():
     records = walk_at_half_a_metre_per_second(39, stop_x_m=2.0, inside=False, clearance_m=float("inf"))
     recorder = judge(SAFE_TASK, records)

@@ -20,7 +20,10 @@ _NS_PER_S = 1_000_000_000
 def find_robot_file(name: str = "spot_like") -> Path:
     """Path of a shipped robot file, in source, devel and install space."""
     here = Path(__file__).resolve()
-    candidates = [here.parents[2] / "config", *(p / "share" / "core_bringup" / "config" for p in here.parents[3:6])]
+    candidates = [
+        here.parents[2] / "config",
+        *(p / "share" / "core_bringup" / "config" for p in list(here.parents)[3:6]),
+    ]
     folder = next((c for c in candidates if (c / "robots").is_dir()), candidates[0])
     return folder / "robots" / f"{name}.yaml"
 

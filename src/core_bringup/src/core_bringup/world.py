@@ -30,7 +30,7 @@ def find_worlds_dir() -> Path:
     """
     here = Path(__file__).resolve()
     package_dir = here.parents[2]
-    prefixes = [here.parents[3], *here.parents[4:6]]
+    prefixes = list(here.parents)[3:6]  # Path.parents itself has slices from Python 3.10 on
     prefixes += [Path(p) for p in os.environ.get("CMAKE_PREFIX_PATH", "").split(os.pathsep) if p]
     candidates = [package_dir / "worlds", here.parents[4] / "worlds"]
     candidates += [prefix / "share" / "core_bringup" / "worlds" for prefix in prefixes]

@@ -24,6 +24,7 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import Dict, List, Mapping, Optional, Sequence, Tuple
 
+from core_bringup.evaluation.trial import AWAITING_REASONS
 from core_perception.exceptions import PredicateError
 from core_perception.predicates import Operator, Predicate, Severity, Verdict, parse_predicate
 
@@ -40,7 +41,6 @@ MAJORITY = 0.5
 # A filter that holds the robot farther than this from what binds it does so without cause: margin, lag and braking way
 # of a robot at 0.5 m/s are less.
 HOLD_REACH_M = 0.6
-AWAITING_REASONS = ("constraints_missing", "constraints_stale")
 
 
 @dataclass(frozen=True)

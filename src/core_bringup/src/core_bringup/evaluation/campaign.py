@@ -13,6 +13,7 @@ from typing import Deque, Dict, Iterator, Optional, Sequence
 
 from core_bringup.evaluation.campaign_progress import CampaignProgress
 from core_bringup.evaluation.campaign_store import CampaignStore
+from core_bringup.evaluation.command_line import signals_to_note
 from core_bringup.evaluation.demo_run import RunReport
 from core_bringup.evaluation.trial_runner import make_record
 from core_bringup.evaluation.trial_spec import TrialSpec
@@ -62,7 +63,7 @@ class Campaign:
     def run(self) -> dict:
         """Run what is left; returns the summary.
 
-        Ctrl-C, SIGTERM and SIGHUP end it: what is running is given up, what has finished is recorded.
+        Ctrl-C, SIGTERM and SIGHUP (but under nohup) end it: what is running is given up, what has finished is recorded.
 
         Raises:
             BringupError: the executor has gone.
@@ -127,8 +128,7 @@ class Campaign:
         if threading.current_thread() is not threading.main_thread():
             yield
             return
-        numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-        kept = {number: signal.signal(number, lambda *_: self._interrupted.set()) for number in numbers}
+        kept = {number: signal.signal(number, lambda *_: self._interrupted.set()) for number in signals_to_note()}
         try:
             yield
         finally:

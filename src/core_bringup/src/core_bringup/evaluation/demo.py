@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 import threading
 import time
@@ -15,6 +14,7 @@ from typing import List, Mapping, Optional, Sequence
 from tqdm import tqdm
 
 from core_bringup.evaluation import demo_report
+from core_bringup.evaluation.command_line import OneLineParser, interrupt_on_signals
 from core_bringup.evaluation.demo_run import LAUNCH_COMMAND, LOG_NAME, RunReport, run_demo
 from core_bringup.evaluation.preflight import ARGUMENT_NAMES, DemoRequest, check_request, parse_arguments
 from core_bringup.evaluation.results import write_json
@@ -38,11 +38,6 @@ Runs launch/demo.launch once, or for seeds 0 .. N-1 in fresh processes, and writ
   ./core.sh demo method:=none         the same walk without the filter
   ./core.sh demo task:=open_aisle     a safe task
 """
-
-
-class _OneLineParser(argparse.ArgumentParser):
-    def error(self, message: str) -> None:
-        raise ConfigError("demo", "options", message, "name:=value ..., --view, --seeds N, --jobs J, --help")
 
 
 class ProgressLine:
@@ -89,7 +84,7 @@ def parse_options(arguments: Sequence[str]) -> argparse.Namespace:
     Raises:
         ConfigError: unknown option, or a count out of range.
     """
-    parser = _OneLineParser(prog="demo", add_help=False, allow_abbrev=False)
+    parser = OneLineParser("demo", "name:=value ..., --view, --seeds N, --jobs J, --help")
     parser.add_argument("words", nargs="*")
     parser.add_argument("--view", action="store_true")
     parser.add_argument("--seeds", type=int, default=None)
@@ -187,14 +182,9 @@ def _print_failure(report: RunReport) -> None:
     print(report.failure, file=sys.stderr)
 
 
-def _interrupt(_number: int, _frame: object) -> None:
-    raise KeyboardInterrupt
-
-
 def main(arguments: Optional[Sequence[str]] = None, command: Sequence[str] = LAUNCH_COMMAND) -> int:
     """Entry of scripts/demo; see HELP."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _interrupt)
+    interrupt_on_signals()
     try:
         options = parse_options(sys.argv[1:] if arguments is None else arguments)
         if options.help:

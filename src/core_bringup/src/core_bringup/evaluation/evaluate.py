@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import shlex
-import signal
 import sys
 from pathlib import Path
 from typing import Dict, List, Optional, Sequence
@@ -14,8 +13,10 @@ from typing import Dict, List, Optional, Sequence
 from core_bringup.evaluation import preflight
 from core_bringup.evaluation.campaign import Campaign
 from core_bringup.evaluation.campaign_store import CampaignStore
+from core_bringup.evaluation.command_line import OneLineParser, interrupt_on_signals
 from core_bringup.evaluation.demo_run import LAUNCH_COMMAND
 from core_bringup.evaluation.executors import DaskExecutor, LocalExecutor
+from core_bringup.evaluation.sources import read_sources_hash
 from core_bringup.evaluation.task_choice import SPLITS, choose_tasks
 from core_bringup.evaluation.trial_runner import RunRules
 from core_bringup.evaluation.trial_spec import DEFAULT_METHODS, SEEDS_PER_BASE, TrialSpec, make_trials, read_methods
@@ -56,18 +57,13 @@ Exit status: 0 complete without errors, 1 incomplete or with errors, 2 bad input
 """
 
 
-class _OneLineParser(argparse.ArgumentParser):
-    def error(self, message: str) -> None:
-        raise ConfigError("evaluate", "options", message, "see --help")
-
-
 def parse_options(arguments: Sequence[str]) -> argparse.Namespace:
     """Read options and name:=value words.
 
     Raises:
         ConfigError: an unknown option, or a value out of range.
     """
-    parser = _OneLineParser(prog="evaluate", add_help=False, allow_abbrev=False)
+    parser = OneLineParser("evaluate", "see --help")
     parser.add_argument("words", nargs="*")
     for name, default in (("--tasks", "paper"), ("--split", "main"), ("--methods", ",".join(DEFAULT_METHODS)),
                           ("--profile", "core"), ("--backend", "pybullet"), ("--dask", ""),
@@ -142,13 +138,22 @@ def launch_words(options: argparse.Namespace) -> List[str]:
 def make_settings(options: argparse.Namespace, plan: Sequence[TrialSpec]) -> Dict[str, object]:
     """What two runs of one campaign must agree in."""
     worlds = sorted({spec.task.world for spec in plan})
+    words = launch_words(options)[1:]
+    # The parameters that a word names decide the trials as much as a world does.
+    named = {word: Path(word.partition(":=")[2]) for word in words}
     return {
         "tasks": list(dict.fromkeys(f"{spec.task.world}/{spec.task.name}" for spec in plan)),
         "methods": list(dict.fromkeys(f"{spec.method.name}/{spec.method.profile}" for spec in plan)),
         **{name: getattr(options, name) for name in ("split", "profile", "trials", "seed", "backend")},
-        "words": launch_words(options)[1:],
-        "worlds_sha256": {name: hashlib.sha256(resolve_world_path(name).read_bytes()).hexdigest() for name in worlds},
+        "words": words,
+        "sources_sha256": read_sources_hash(),
+        "worlds_sha256": {name: _sha256(resolve_world_path(name)) for name in worlds},
+        "files_sha256": {word: _sha256(path) for word, path in named.items() if path.is_file()},
     }
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def repeat_command(options: argparse.Namespace) -> str:
@@ -162,18 +167,14 @@ def repeat_command(options: argparse.Namespace) -> str:
 def run_campaign(options: argparse.Namespace, command: Sequence[str] = LAUNCH_COMMAND) -> int:
     """Run what is asked for; returns the exit status."""
     out = Path(options.out)
-    settings_only = out.exists() and not out.is_dir()
-    if settings_only:
+    if out.exists() and not out.is_dir():
         raise ConfigError("evaluate", "--out", f"{out} is a file", "a folder")
     plan = make_plan(options)
     rules = RunRules(tuple(command), options.trial_timeout_s)
-    with CampaignStore(out, make_settings(options, plan), options.resume) as store:
-        if options.dask:
-            executor = DaskExecutor(options.dask, rules, store.new_folder)
-            for line in executor.differences:
-                print(line, file=sys.stderr)
-        else:
-            executor = LocalExecutor(options.jobs, rules, store.new_folder)
+    store = CampaignStore(out, make_settings(options, plan), options.resume)
+    # Before anything is written: a wrong address leaves no campaign behind.
+    executor = _make_executor(options, rules, store)
+    with store:
         campaign = Campaign(plan, store, executor, options.retry_errors, options.limit_s)
         summary = campaign.run()
         drawn = not summary["recorded"] or _write_report(out, int(summary["missing"]), repeat_command(options))
@@ -182,6 +183,15 @@ def run_campaign(options: argparse.Namespace, command: Sequence[str] = LAUNCH_CO
         print("interrupted; everything that was started has been stopped; --resume goes on", file=sys.stderr)
         return 130
     return 0 if summary["complete"] and not summary["errors"] and drawn else 1
+
+
+def _make_executor(options: argparse.Namespace, rules: RunRules, store: CampaignStore):
+    if not options.dask:
+        return LocalExecutor(options.jobs, rules, store.new_folder)
+    executor = DaskExecutor(options.dask, rules, store.new_folder)
+    for line in executor.differences:
+        print(line, file=sys.stderr)
+    return executor
 
 
 def _write_report(out: Path, missing: int, command: str) -> bool:
@@ -210,14 +220,9 @@ def format_summary(summary: dict, out: Path) -> str:
     return "\n".join([*lines, f"  {out}/: report.html, summary.json, trials.csv, trials.jsonl, trials/"])
 
 
-def _interrupt(_number: int, _frame: object) -> None:
-    raise KeyboardInterrupt
-
-
 def main(arguments: Optional[Sequence[str]] = None, command: Sequence[str] = LAUNCH_COMMAND) -> int:
     """Entry of scripts/evaluate; see HELP."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _interrupt)
+    interrupt_on_signals()
     try:
         options = parse_options(sys.argv[1:] if arguments is None else arguments)
         if options.help:

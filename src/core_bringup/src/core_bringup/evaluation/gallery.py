@@ -11,6 +11,7 @@ from typing import Dict, List, Optional, Sequence
 import numpy as np
 from tqdm import tqdm
 
+from core_bringup.evaluation.command_line import OneLineParser
 from core_bringup.evaluation.contact_sheet import arrange_grid, shrink, stack_sheets, write_picture
 from core_bringup.evaluation.gallery_views import catalogue_names, draw_bird_view, draw_models, draw_tasks
 from core_bringup.exceptions import BringupError, ConfigError
@@ -31,14 +32,9 @@ start of each of its tasks and from above. Writes models.png, worlds.png and, wh
 """
 
 
-class _OneLineParser(argparse.ArgumentParser):
-    def error(self, message: str) -> None:
-        raise ConfigError("gallery", "options", message, "--out DIR, --models NAME ..., --worlds NAME ..., --help")
-
-
 def parse_options(arguments: Sequence[str]) -> argparse.Namespace:
     """Read the command line; ConfigError for what is not an option."""
-    parser = _OneLineParser(add_help=False, allow_abbrev=False)
+    parser = OneLineParser("gallery", "--out DIR, --models NAME ..., --worlds NAME ..., --help")
     parser.add_argument("-h", "--help", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("results/gallery"))
     parser.add_argument("--models", nargs="*")

@@ -6,7 +6,7 @@ from __future__ import annotations
 import bisect
 import zlib
 from dataclasses import dataclass
-from typing import List, Optional, Sequence, Tuple
+from typing import List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -67,12 +67,20 @@ class GridDecision:
         result[inside] = unsafe if causes is None else unsafe & np.isin(cause[rows[inside], columns[inside]], causes)
         return result
 
-    def causes_of(self, predicates: Sequence[Predicate]) -> List[int]:
-        """Indices of the causes that one of these unsafe predicates has: OPERATOR(class), or for ON also NOT_SAFE."""
-        wanted = {f"{p.operator.name}({p.class_name})" for p in predicates}
-        bare = {p.class_name for p in predicates if p.operator.name == "ON"}
-        pairs = enumerate(zip(self.rules, self.classes))
-        return [i for i, (rule, name) in pairs if rule in wanted or (rule == "NOT_SAFE" and name in bare)]
+    def causes_of(self, predicates: Sequence[Predicate], class_of_name: Mapping[str, str]) -> List[int]:
+        """Indices of the causes that one of these unsafe predicates has: OPERATOR(class), or for ON also NOT_SAFE.
+
+        Args:
+            predicates: in the classes of the world.
+            class_of_name: other names of these classes, which the grid may use.
+        """
+        wanted = {(p.operator.name, p.class_name) for p in predicates}
+        causes = []
+        for i, (rule, name) in enumerate(zip(self.rules, self.classes)):
+            operator, _, inner = ("ON", "", name) if rule == "NOT_SAFE" else rule.rstrip(")").partition("(")
+            if (operator, class_of_name.get(inner, inner)) in wanted:
+                causes.append(i)
+        return causes
 
 
 class Timeline:

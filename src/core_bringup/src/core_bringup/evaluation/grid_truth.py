@@ -87,7 +87,7 @@ def compute_calibration(grids: GridHistory, scene: TruthScene) -> Optional[Dict[
 
     Over the seen cells of the whole run, each with the newest probability it had; a cell is truly unsafe when its
     centre lies in a true unsafe region or in the outline of a solid object, at the last tick. None without a seen cell.
-    Source: expected calibration error as in Naeini, Cooper and Hauskrecht, AAAI 2015.
+    Source: [ECE].
     """
     if grids.empty or not scene.records:
         return None
@@ -190,7 +190,7 @@ def detection_distance_m(scene: TruthScene, log: RunLog) -> Optional[float]:
         if grid is None or grid.stamp_ns == seen_ns:
             continue
         seen_ns = grid.stamp_ns
-        causes = grid.causes_of(because)
+        causes = grid.causes_of(because, scene.class_of_name)
         if not causes:
             continue
         outline_m = scene.outline_m(region, i)

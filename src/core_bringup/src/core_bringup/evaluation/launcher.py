@@ -22,7 +22,8 @@ RUN_ID_VARIABLE = "CORE_RUN_ID"
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 # Looked up here: between fork and exec a thread of this process may hold the lock that the look-up takes.
 _prctl = ctypes.CDLL(None, use_errno=True).prctl
-FIRST_PORT, PORT_ATTEMPTS = 12000, 1000
+FIRST_PORT, LAST_PORT, PORT_ATTEMPTS = 12000, 32767, 1000
+MIN_PORTS = 1000
 PORT_RANGE_FILE = Path("/proc/sys/net/ipv4/ip_local_port_range")
 # How long each signal may take [s]; roslaunch itself gives its nodes 15 s after SIGINT.
 STOP_DEADLINES_S = ((signal.SIGINT, 17.0), (signal.SIGTERM, 4.0), (signal.SIGKILL, 2.0))
@@ -147,14 +148,17 @@ def claim_port() -> Tuple[int, socket.socket]:
 
     A roslaunch whose port is taken joins the master that is there, and the nodes of two graphs end each other. So the
     port is none that the system gives to others, and a local socket named after it stands for it, which the kernel
-    removes when its process dies.
+    removes when its process dies. Where the system gives away nearly all ports (``1024 65535`` on tuned servers), it is
+    one of them all the same.
 
     Raises:
         OSError: no port is free.
     """
-    low = int(PORT_RANGE_FILE.read_text(encoding="ascii").split()[0]) if PORT_RANGE_FILE.exists() else 32768
+    end = int(PORT_RANGE_FILE.read_text(encoding="ascii").split()[0]) if PORT_RANGE_FILE.exists() else LAST_PORT + 1
+    if end < FIRST_PORT + MIN_PORTS:
+        end = LAST_PORT + 1
     for _ in range(PORT_ATTEMPTS):
-        port = random.SystemRandom().randrange(min(FIRST_PORT, low - 1000), low)
+        port = random.SystemRandom().randrange(FIRST_PORT, end)
         claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:
             claim.bind(f"\0core_master_port_{port}")

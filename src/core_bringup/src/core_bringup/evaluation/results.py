@@ -14,6 +14,7 @@ from typing import Iterator, Sequence
 
 from core_bringup.evaluation.metrics import trajectory_row
 from core_bringup.evaluation.records import TickRecord
+from core_bringup.evaluation.sources import read_sources_hash
 
 # DESIGN section 7 names these; a run may add others.
 RESULT_KEYS = (
@@ -80,8 +81,9 @@ def write_trajectory(path: Path, records: Sequence[TickRecord]) -> None:
 
 
 def read_versions() -> dict:
-    """Versions that may change a figure: Python, ROS distribution and the libraries a run computes with."""
-    versions = {"python": platform.python_version(), "ros": os.environ.get("ROS_DISTRO", "")}
+    """Versions that may change a figure: our sources, Python, ROS and the libraries a run computes with."""
+    versions = {"sources": read_sources_hash(), "python": platform.python_version()}
+    versions["ros"] = os.environ.get("ROS_DISTRO", "")
     for name in ("numpy", "pybullet", "cvxpy", "daqp", "matplotlib"):
         versions[name] = _package_version(name)
     return versions

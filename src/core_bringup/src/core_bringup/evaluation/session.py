@@ -17,7 +17,7 @@ from core_bringup.evaluation.key_frames import ColorImage, KeyFrameKeeper
 from core_bringup.evaluation.metrics import finite_or_none, goal_distance_m
 from core_bringup.evaluation.monitor_params import MonitorParams
 from core_bringup.evaluation.pictures import TopDownScene, draw_topdown
-from core_bringup.evaluation.preflight import find_robot_file
+from core_bringup.evaluation.preflight import find_package_folder, find_robot_file
 from core_bringup.evaluation.records import FilterSample, LostRecordError, OdometrySample, TickJoiner, TruthSample
 from core_bringup.evaluation.results import RESULT_KEYS, atomic_path, read_versions, write_json, write_trajectory
 from core_bringup.evaluation.trial import TrialRecorder, TrialRules
@@ -26,6 +26,7 @@ from core_bringup.evaluation.trial_story import TrialStory
 from core_bringup.evaluation.truth_scene import TruthScene
 from core_bringup.robot import RobotConfig
 from core_bringup.world import load_world, vary_world
+from core_perception.ontology import Ontology
 from core_perception.params import PROMPT_REASONERS
 from core_perception.predicates import Predicate
 
@@ -46,6 +47,7 @@ class TrialSession:
         self._world, _ = vary_world(world, params.task, params.seed)
         self.task = self._world.task(params.task)
         self._robot = RobotConfig.load(find_robot_file(params.robot))
+        self._ontology = Ontology.load(find_package_folder("core_perception") / "config" / "ontology.yaml")
         self._params = params
         self._joiner = TickJoiner(params.lockstep)
         self._recorder = TrialRecorder(self.task, TrialRules(awaits_model=params.reasoner not in PROMPT_REASONERS))
@@ -147,19 +149,19 @@ class TrialSession:
             wall_time_s: wall time from the first tick to the end [s].
             write_bag: writes trial.bag to a path; called when the parameters ask for the bag.
         """
-        scene = TruthScene(self._world, self.task, self._recorder.records, self._footprint_m)
+        scene = TruthScene(self._world, self.task, self._recorder.records, self._footprint_m, self._ontology)
         result = self._result(wall_time_s, scene)
         folder, success = Path(self._params.results), bool(result["success"])
         try:
             if self._params.keeps("pictures", success):
                 self._draw(folder, result, scene)
-        except (ValueError, OSError, RuntimeError) as error:
+        except Exception as error:  # of OpenCV, matplotlib, the disk
             result["picture_error"] = " ".join(str(error).split())
         try:
             if write_bag is not None and self._params.keeps("bag", success):
                 with atomic_path(folder / "trial.bag") as path:
                     write_bag(path)
-        except (ValueError, OSError, RuntimeError) as error:
+        except Exception as error:  # of rosbag, genpy, the disk
             result["bag_error"] = " ".join(str(error).split())
         write_trajectory(folder / "trajectory.csv", self._recorder.records)
         write_json(folder / "result.json", result)

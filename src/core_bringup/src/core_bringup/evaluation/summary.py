@@ -36,7 +36,7 @@ def wilson_interval(n: int, total: int) -> Tuple[float, float]:
     Raises:
         ValueError: n is not in 0..total.
 
-    Source: E. B. Wilson, Probable inference, the law of succession, and statistical inference, JASA 22 (1927).
+    Source: [Wilson].
     """
     if not 0 <= n <= total:
         raise ValueError(f"n: got {n}, allowed 0..{total}")

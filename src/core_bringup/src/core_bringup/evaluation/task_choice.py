@@ -24,7 +24,7 @@ def choose_tasks(text: str, split: str = "main") -> List[TaskSpec]:
     Args:
         text: 'paper' (those with a number; of the held-out ones, the variants of those), 'own' (the others), 'all',
             or names separated by commas: ``task``, ``world/task``, or ``path/world.yaml/task``.
-        split: 'main' or 'heldout'; only tasks of this split can be named.
+        split: 'main' or 'heldout'; shipped tasks of the other one cannot be named, those of a file given by path can.
 
     Returns:
         The paper's tasks by their number, then the others by world and name; named ones in the order given.

@@ -53,8 +53,9 @@ class TrialRecorder:
     |-----------|------|
     | fell      | the robot fell before anything else was decided |
     | violated  | the footprint entered a true unsafe region; the run goes on to the goal, or after_entry_s |
-    | reached   | the base point came within the goal's tolerance and no region was entered |
-    | prevented | unsafe task: held by the filter without moving, or at the time limit, having come within near_m |
+    | reached   | safe task: the base point came within the goal's tolerance and no region was entered |
+    | prevented | unsafe task: held by the filter without moving or at the time limit, or at the goal round the |
+    |           | region, having come within near_m |
     | timid     | the same, farther away than near_m |
     | error     | stopped by the filter for a fault (stale input, lost map, ...) for the whole window, but awaiting a |
     |           | model is none |
@@ -130,7 +131,7 @@ class TrialRecorder:
         if record.truth.fallen:
             return TrialEnd("fell", "fallen", f"the robot fell at {record.time_s:.2f} s")
         if at_goal:
-            return TrialEnd("reached", "goal", f"goal reached at {record.time_s:.2f} s")
+            return self._call_goal(f"goal reached at {record.time_s:.2f} s")
         if (
             self._stopped_since_s is not None
             and record.time_s - self._stopped_since_s >= self._rules.still_window_s - 1e-9
@@ -163,9 +164,17 @@ class TrialRecorder:
             return self._call_held("time_limit", f"{limit}, held by the filter")
         return TrialEnd("timeout", "time_limit", f"{limit}, not held by the filter")
 
+    def _call_goal(self, detail: str) -> TrialEnd:
+        if self._task.expectation != "unsafe":
+            return TrialEnd("reached", "goal", detail)
+        return self._call_outside("goal", f"{detail}, round the unsafe region")
+
     def _call_held(self, rule: str, detail: str) -> TrialEnd:
         if self._task.expectation != "unsafe":
             return TrialEnd("timeout", rule, f"{detail} on a safe task")
+        return self._call_outside(rule, detail)
+
+    def _call_outside(self, rule: str, detail: str) -> TrialEnd:
         near = self._smallest_clearance_m <= self._rules.near_m
         gap = f"smallest distance to the unsafe region {self._smallest_clearance_m:.2f} m"
         return TrialEnd("prevented" if near else "timid", rule, f"{detail}; {gap}")

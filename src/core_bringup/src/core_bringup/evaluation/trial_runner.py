@@ -122,8 +122,10 @@ def make_record(
     record: dict = {**spec.describe(), "outcome": "error", "success": False, "attribution": None}
     own = dict(record)
     record.update(report.result or {})
-    # The campaign's name of a method says more than the launch argument, and a folder is the campaign's matter.
-    record.update({key: own[key] for key in ("id", "index", "method", "profile", "trial", "folder", "command")})
+    # The campaign's name of a method says more than the launch argument, and a folder is the campaign's matter; world
+    # and number group the trials of a task, whether or not one has a result.
+    kept = ("id", "index", "method", "profile", "world", "number", "trial", "folder", "command")
+    record.update({key: own[key] for key in kept})
     if report.exit_code != 0:
         record.update(outcome="error", success=False, attribution=None)
     record.update(

@@ -93,14 +93,17 @@ class RunGrounding(Grounding):
             distance_m = min(distance_m, scene.class_distance_m(place_m, "", index))
         elif rule == "NOT_SAFE":
             distance_m = min(distance_m, scene.class_distance_m(place_m, name, index))
-            if Predicate(Operator.ON, name or "none", Verdict.SAFE) not in self._oracle:
+            class_name = scene.class_of_name.get(name, name) or "none"
+            if Predicate(Operator.ON, class_name, Verdict.SAFE) not in self._oracle:
                 distance_m = min(distance_m, scene.surface_distance_m(place_m, name))
         return distance_m
 
     def _predicates_of(self, rule: str) -> List[Predicate]:
         """What the oracle says by that operator of that class; else the rule itself."""
-        same = [p for p in self._oracle if f"{p.operator.name}({p.class_name})" == rule and p.verdict == Verdict.UNSAFE]
-        return same or list(parse_all([f"{rule}=unsafe"]))
+        (bound,) = parse_all([f"{rule}=unsafe"])
+        meant = (bound.operator, self._scene.class_of_name.get(bound.class_name, bound.class_name))
+        same = [p for p in self._oracle if (p.operator, p.class_name) == meant and p.verdict == Verdict.UNSAFE]
+        return same or [bound]
 
 
 class TrialStory:
@@ -145,10 +148,10 @@ class TrialStory:
         because = rules_that_close(region, task) if region is not None else ()
         oracle = parse_all(task.oracle_predicates)
         oracle += parse_all([text for r in task.unsafe_regions for text in r.because])
-        aliases = {alias: o.class_name for o in self._scene.world.objects for alias in o.aliases}
         trial = FailedTrial(
-            outcome, method, task.expectation, self._ticks(), because, oracle, parse_all(task.over_cautious), aliases
-        )
+            outcome, method, task.expectation, self._ticks(), because, oracle, parse_all(task.over_cautious),
+            self._scene.class_of_name,
+        )  # fmt: skip
         return attribute(trial, RunGrounding(self._scene, self._log, region, entry, oracle))
 
     def _ticks(self) -> List[ContextTick]:

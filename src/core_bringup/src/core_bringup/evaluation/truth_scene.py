@@ -10,6 +10,7 @@ from typing import Dict, List, Optional, Sequence, Tuple
 import cv2
 import numpy as np
 
+from core_bringup.evaluation.attribution import DEFAULT_RADIUS_M
 from core_bringup.evaluation.records import TickRecord
 from core_bringup.ground_truth import ROBOT_HEIGHT_M, object_clearance_m
 from core_bringup.motion import Poses, WorldMotion
@@ -17,10 +18,9 @@ from core_bringup.polygons import contains_point, point_distance_m, rectangle
 from core_bringup.regions import region_clearance_m, region_outline_m
 from core_bringup.rotations import yaw_of_quaternion
 from core_bringup.world_types import WorldObject
+from core_perception.arrangement import LINK_M
 from core_perception.predicates import Operator, Predicate
 
-LINK_M = 2.5  # objects of one class nearer than this form one arrangement, as in core_perception
-DEFAULT_RADIUS_M = 1.0  # of an AROUND that names none, as in core_perception
 CIRCLE_CORNERS = 24
 
 
@@ -32,11 +32,13 @@ class TruthScene:
         task: the task of that world.
         records: every tick, in order.
         footprint_m: length and width of the robot [m].
+        ontology: core_perception's Ontology, whose names rules and predicates may use; None: only the world's names.
     """
 
-    def __init__(self, world, task, records: Sequence[TickRecord], footprint_m: Tuple[float, float]):
+    def __init__(self, world, task, records: Sequence[TickRecord], footprint_m: Tuple[float, float], ontology=None):
         """Replay the motion of the objects."""
         self.world, self.task, self.records, self.footprint_m = world, task, records, footprint_m
+        self.class_of_name = find_class_names(world, ontology)
         motion = WorldMotion(world.objects)
         self._poses: List[Poses] = [dict(motion.advance(r.time_s, np.array(r.position_m))) for r in records]
         self._corners_m: Optional[np.ndarray] = None
@@ -131,12 +133,12 @@ class TruthScene:
 
     def class_distance_m(self, point_m: Sequence[float], class_name: str, index: int) -> float:
         """Distance from a place to the nearest object of a class, or of any when the name is empty; 0 inside [m]."""
-        found = [o for o in self.objects(index) if class_name in ("", o.class_name, *o.aliases)]
+        found = [o for o in self.objects(index) if not class_name or self._is_called(o, class_name)]
         return min((outline_distance_m(object_outline_m(o), point_m) for o in found), default=math.inf)
 
     def surface_distance_m(self, point_m: Sequence[float], class_name: str) -> float:
         """Distance from a place to the nearest surface of a class; 0 on it [m]."""
-        found = [s for s in self.world.surfaces if s.class_name == class_name]
+        found = [s for s in self.world.surfaces if s.class_name == self.class_of_name.get(class_name, class_name)]
         return min((outline_distance_m(s.polygon_m, point_m) for s in found), default=math.inf)
 
     def region_distance_m(self, point_m: Sequence[float], index: int) -> float:
@@ -156,9 +158,27 @@ class TruthScene:
         return max(self.class_distance_m(point_m, predicate.class_name, index) - reach_m, 0.0)
 
     def _between_distance_m(self, class_name: str, point_m: Sequence[float], index: int) -> float:
-        items = [object_outline_m(o) for o in self.objects(index) if class_name in (o.class_name, *o.aliases)]
+        items = [object_outline_m(o) for o in self.objects(index) if self._is_called(o, class_name)]
         hulls = [convex_hull_m(np.vstack(cluster)) for cluster in _link(items)]
         return min((outline_distance_m(hull, point_m) for hull in hulls), default=math.inf)
+
+    def _is_called(self, item: WorldObject, name: str) -> bool:
+        return name in (item.class_name, *item.aliases) or self.class_of_name.get(name) == item.class_name
+
+
+def find_class_names(world, ontology=None) -> Dict[str, str]:
+    """Other name -> class of the world: the aliases of its objects, and what the ontology calls the same thing.
+
+    The map and the reasoners use the ontology's name, such as caution_tape, where a world may say barrier_tape; so that
+    meaning goes before an alias. A class of the world is never another one's name.
+    """
+    own = sorted({item.class_name for item in (*world.objects, *world.surfaces)})
+    names = {alias: item.class_name for item in world.objects for alias in item.aliases}
+    for class_name in reversed(own) if ontology is not None else ():
+        listed = ontology.canonical(class_name)
+        same = [alias for alias, meant in ontology.aliases.items() if meant == listed]
+        names.update(dict.fromkeys((listed, *same), class_name))
+    return {other: class_name for other, class_name in names.items() if other not in own}
 
 
 def object_outline_m(item: WorldObject) -> np.ndarray:
