@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from simple_world import ROBOT, make_object, make_ramp, make_state, make_surface, make_world
 
-from core_bringup import pybullet_scene
+from core_bringup import pybullet_render_worker, pybullet_scene
 from core_bringup.drawn_mesh import DrawnMesh, box_mesh, read_mesh, surface_mesh
 from core_bringup.pybullet_render_worker import FramePainter
 from core_bringup.world import find_worlds_dir
@@ -103,6 +103,7 @@ def test_picture_is_the_same_with_and_without_division(monkeypatch):
         mesh_scale=np.array([6.0, 1.0, 1.0]),
     )  # fmt: skip
     slab = make_surface(7, (1.0, -1.0), (9.0, 0.0), z_m=0.08, texture=MODELS / "textures" / "concrete.png")
+    monkeypatch.setattr(pybullet_render_worker, "FacePainter", lambda *_: None)  # all by PyBullet
     pictures = []
     for longest_m in (1000.0, 1.0):
         monkeypatch.setattr(pybullet_scene, "_LONGEST_EDGE_M", longest_m)

@@ -58,14 +58,14 @@ class DrawnMesh:
             parts = [points[codes == code][:, pattern] for code, patterns in _PATTERNS.items() if code
                      for pattern in patterns]  # fmt: skip
             todo = np.concatenate(parts)
-        return DrawnMesh(np.concatenate(done), self.texture)
+        return DrawnMesh(np.concatenate([*done, todo]), self.texture)
 
     def scaled(self, scale: Sequence[float]) -> DrawnMesh:
         """Stretch along x, y, z; normals n become n / scale, of length 1."""
         corners = self.corners.copy()
         corners[:, :, :3] *= scale
         corners[:, :, 5:] /= scale
-        corners[:, :, 5:] /= np.linalg.norm(corners[:, :, 5:], axis=2, keepdims=True)
+        corners[:, :, 5:] /= np.maximum(np.linalg.norm(corners[:, :, 5:], axis=2, keepdims=True), 1e-12)
         return DrawnMesh(corners, self.texture)
 
     def obj_text(self) -> str:

@@ -16,6 +16,7 @@ from core_bringup.backend import RobotState
 from core_bringup.camera import CameraModel
 from core_bringup.camera_noise import add_camera_noise
 from core_bringup.exceptions import BringupError
+from core_bringup.face_painter import FacePainter
 from core_bringup.pybullet_scene import PybulletScene, write_urdf
 from core_bringup.quadruped.kinematics import JOINT_NAMES
 from core_bringup.quadruped.model import compute_stand_joints
@@ -23,6 +24,7 @@ from core_bringup.robot import RobotConfig
 from core_bringup.world_types import World
 
 SKY_RGB = (188, 208, 228)
+_SKY_PIXEL = np.array([*SKY_RGB, 255], dtype=np.uint8).view(np.uint32)[0]
 # Where a renderer samples pixel (u, v), in its own image coordinates, less (u, v). Measured against rayTest.
 _SAMPLE_OFFSET_PX = {"tiny": (0.0, 1.0), "egl": (0.5, 0.5)}
 _LIGHT_DISTANCE_M = 20.0
@@ -59,9 +61,11 @@ class FramePainter:
         self._stand_rad = compute_stand_joints(robot.quadruped).ravel()
         self._client = pybullet.connect(pybullet.DIRECT)
         self._engine = pybullet.ER_TINY_RENDERER if renderer == "tiny" else _load_egl(self._client)
+        own_faces = renderer == "tiny" and not world.lighting.shadow  # no shadow falls on painted faces
+        self._faces = FacePainter(camera, world.lighting) if own_faces else None
         urdf_path = write_urdf(robot)
         try:
-            self.scene = PybulletScene(self._client, world, urdf_path)
+            self.scene = PybulletScene(self._client, world, urdf_path, faces=self._faces)
         finally:
             urdf_path.unlink()
         self._R_base_optical, self._p_base_optical = robot.camera_mount.compute_optical_pose()
@@ -77,11 +81,11 @@ class FramePainter:
         for label_id, pose in state.object_poses.items():
             self.scene.place_object(label_id, *pose)
         camera, light = self._camera, self._light
-        view = self._compute_view_matrix(p_world_base, q_world_base)
+        R_world_optical, p_world_camera = self._compute_camera_pose(p_world_base, q_world_base)
         _, _, rgba, buffer, segments = pybullet.getCameraImage(
             camera.width_px,
             camera.height_px,
-            view,
+            _compute_view_matrix(R_world_optical, p_world_camera),
             self._projection,
             lightDirection=[float(x) for x in light.direction],
             lightColor=[float(x) for x in light.color_rgb],
@@ -97,10 +101,14 @@ class FramePainter:
         shape = (camera.height_px, camera.width_px)
         segments = np.asarray(segments, dtype=np.int32).reshape(shape)
         labels = self._compute_labels(segments)
-        depth = compute_depth(np.asarray(buffer).reshape(shape), camera.near_m, camera.far_m)
+        nearness = compute_nearness(np.asarray(buffer).reshape(shape), camera.near_m, camera.far_m)
+        pixels = np.ascontiguousarray(rgba, dtype=np.uint8).view(np.uint32).reshape(shape)
+        pixels = np.where(segments < 0, _SKY_PIXEL, pixels)
+        if self._faces is not None:
+            self._faces.paint((pixels, nearness, labels), R_world_optical, p_world_camera)
+        depth = np.divide(1.0, nearness, out=np.empty(shape, dtype=np.float32), casting="same_kind")
         np.copyto(depth, np.nan, where=labels == 0)
-        color = np.asarray(rgba, dtype=np.uint8).reshape(*shape, 4)[:, :, :3].copy()
-        np.copyto(color, np.array(SKY_RGB, dtype=np.uint8), where=(segments < 0)[:, :, None])
+        color = pixels.view(np.uint8).reshape(*shape, 4)[:, :, :3].copy()
         return (*add_camera_noise(color, depth, self._noise, round(state.time_s * 1e9)), labels)
 
     def _compute_labels(self, segments: np.ndarray) -> np.ndarray:
@@ -111,20 +119,24 @@ class FramePainter:
             table[body] = label
         return np.take(table, segments & _BODY_MASK, mode="clip")
 
-    def _compute_view_matrix(self, p_world_base: np.ndarray, q_world_base: np.ndarray) -> List[float]:
-        """Inverse pose of the camera in OpenGL's axes (y up, looking along -z), 16 numbers column by column."""
+    def _compute_camera_pose(self, p_world_base: np.ndarray, q_world_base: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+        """Axes of the camera (3, 3), right, down and ahead, and its place (3,) [m], in the world frame."""
         R_world_base = np.array(pybullet.getMatrixFromQuaternion([float(x) for x in q_world_base])).reshape(3, 3)
-        pose = np.eye(4)
-        pose[:3, :3] = R_world_base @ self._R_base_optical
-        pose[:3, 3] = p_world_base + R_world_base @ self._p_base_optical
-        view = np.eye(4)
-        view[:3, :3], view[:3, 3] = pose[:3, :3].T, -pose[:3, :3].T @ pose[:3, 3]
-        return (_OPTICAL_TO_OPENGL @ view).T.ravel().tolist()
+        return R_world_base @ self._R_base_optical, p_world_base + R_world_base @ self._p_base_optical
 
 
-def compute_depth(buffer: np.ndarray, near_m: float, far_m: float) -> np.ndarray:
-    """Distance along the optical axis z = f n / (f - (f - n) d) [m], float32, of an OpenGL depth buffer d in [0, 1]."""
-    return (far_m * near_m / (far_m - (far_m - near_m) * buffer.astype(np.float64))).astype(np.float32)
+def _compute_view_matrix(R_world_optical: np.ndarray, p_world_camera: np.ndarray) -> List[float]:
+    """Inverse pose of a camera in OpenGL's axes (y up, looking along -z), 16 numbers column by column."""
+    view = np.eye(4)
+    view[:3, :3], view[:3, 3] = R_world_optical.T, -R_world_optical.T @ p_world_camera
+    return (_OPTICAL_TO_OPENGL @ view).T.ravel().tolist()
+
+
+def compute_nearness(buffer: np.ndarray, near_m: float, far_m: float) -> np.ndarray:
+    """1 / z = 1 / n - (1 / n - 1 / f) d [1/m], float64, of OpenGL's depth buffer d in [0, 1]; z is the depth."""
+    nearness = np.multiply(buffer, 1.0 / far_m - 1.0 / near_m, dtype=np.float64)
+    nearness += 1.0 / near_m
+    return nearness
 
 
 def _load_egl(client: int) -> int:

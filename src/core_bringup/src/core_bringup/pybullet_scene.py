@@ -13,6 +13,7 @@ import pybullet
 
 from core_bringup.drawn_mesh import DrawnMesh, box_mesh, read_mesh, surface_mesh
 from core_bringup.exceptions import BringupError
+from core_bringup.face_painter import FacePainter
 from core_bringup.quadruped.kinematics import JOINT_NAMES
 from core_bringup.robot import RobotConfig
 from core_bringup.world_types import Surface, World, WorldObject
@@ -21,6 +22,7 @@ _PATCH_DEPTH_M = 0.05
 _COPLANAR_LIFT_M = 0.001  # a patch as high as the floor is put this far above it, or the two would flicker
 _WHITE = (1.0, 1.0, 1.0, 1.0)
 _LONGEST_EDGE_M = 2.5  # of a drawn triangle
+_LEAST_FACE_M2 = 0.25  # of an object's face for the FacePainter
 _HULL_MARGIN_M = 0.001  # Bullet grows a convex hull by this much
 _FRICTION = 1.0
 
@@ -33,7 +35,14 @@ class PybulletScene:
     one that is not solid is only drawn.
     """
 
-    def __init__(self, client_id: int, world: World, robot_urdf_path: Path, visual: bool = True):
+    def __init__(
+        self,
+        client_id: int,
+        world: World,
+        robot_urdf_path: Path,
+        visual: bool = True,
+        faces: Optional[FacePainter] = None,
+    ):
         """Build everything.
 
         Args:
@@ -41,8 +50,10 @@ class PybulletScene:
             world: World.
             robot_urdf_path: file with the URDF of the robot.
             visual: also build what is drawn (textures, meshes); physics alone does without.
+            faces: takes the large flat faces of what stands still, which PyBullet then does not draw. Nothing collides
+                in such a scene, because PyBullet draws the collision shape of a body without any other.
         """
-        self._client, self._visual = client_id, visual
+        self._client, self._visual, self._faces = client_id, visual, faces
         self._labels, self._bodies, self._items, self._textures = {}, {}, {}, {}
         try:
             self.robot = pybullet.loadURDF(
@@ -78,13 +89,14 @@ class PybulletScene:
         if item.id in self._labels.values():
             raise BringupError(f"object id {item.id} ({item.name}): taken; allowed: a free id")
         half_height = 0.5 * float(item.size_m[2])
-        collision = self._create_collision(item) if item.solid else -1
+        collision = self._create_collision(item) if item.solid and self._faces is None else -1
         visual, texture = self._create_visual(item, half_height) if self._visual else (-1, None)
+        self._place_faces(item.id, item.position_m, item.yaw_rad)
         body = pybullet.createMultiBody(
             0.0, collision, visual, *_object_pose(item.position_m, item.yaw_rad), physicsClientId=self._client
         )
         pybullet.changeDynamics(body, -1, lateralFriction=_FRICTION, physicsClientId=self._client)
-        if texture is not None:
+        if texture is not None and visual >= 0:
             self._paint(body, texture)
         self._labels[body], self._bodies[item.id], self._items[item.id] = item.id, body, item
 
@@ -93,6 +105,7 @@ class PybulletScene:
         pybullet.resetBasePositionAndOrientation(
             self._body(label_id), *_object_pose(position_m, yaw_rad), physicsClientId=self._client
         )
+        self._place_faces(label_id, position_m, yaw_rad)
         item = self._items[label_id]
         self._items[label_id] = replace(item, position_m=np.array(position_m, dtype=float), yaw_rad=float(yaw_rad))
 
@@ -100,11 +113,14 @@ class PybulletScene:
         """Put a moving object to where it is now; unlike move_object it does not change what `objects` says."""
         pose = _object_pose(position_m, yaw_rad)
         pybullet.resetBasePositionAndOrientation(self._body(label_id), *pose, physicsClientId=self._client)
+        self._place_faces(label_id, position_m, yaw_rad)
 
     def remove_object(self, label_id: int) -> None:
         """Take an object out of the scene."""
         body = self._body(label_id)
         pybullet.removeBody(body, physicsClientId=self._client)
+        if self._faces is not None:
+            self._faces.remove(label_id)
         del self._labels[body], self._bodies[label_id], self._items[label_id]
 
     def set_robot(
@@ -153,15 +169,18 @@ class PybulletScene:
     def _add_surface(self, world: World, index: int) -> int:
         surface, floor_m = world.surfaces[index], world.surfaces[0].z_m
         lift_m = _COPLANAR_LIFT_M * index if surface.corner_z_m is None and surface.z_m == floor_m else 0.0
-        if index == 0:
+        if self._faces is not None:
+            collision = -1
+        elif index == 0:
             collision = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self._client)
         else:
             collision = self._create_prism(surface, floor_m)
         visual = self._create_surface_visual(surface, floor_m) if self._visual else -1
         place = (0.0, 0.0, float(surface.z_m) + lift_m)
+        self._place_faces(surface.id, place, 0.0)
         body = pybullet.createMultiBody(0.0, collision, visual, place, physicsClientId=self._client)
         pybullet.changeDynamics(body, -1, lateralFriction=_FRICTION, physicsClientId=self._client)
-        if self._visual and surface.texture is not None:
+        if visual >= 0 and surface.texture is not None:
             self._paint(body, surface.texture)
         self._labels[body] = surface.id
         return body
@@ -176,10 +195,30 @@ class PybulletScene:
 
     def _create_surface_visual(self, surface: Surface, floor_m: float) -> int:
         color = _WHITE if surface.texture is not None else _floats(surface.color_rgba)
-        return self._draw(surface_mesh(surface, floor_m).divide(_LONGEST_EDGE_M), color)
+        mesh = replace(surface_mesh(surface, floor_m), texture=surface.texture)
+        if self._faces is not None:
+            mesh = self._faces.take(surface.id, mesh, color)
+        return self._draw(mesh.divide(_LONGEST_EDGE_M), color)
+
+    def _without_faces(
+        self, item: WorldObject, mesh: DrawnMesh, color_rgba: Sequence[float], scale: Sequence[float] = (1.0, 1.0, 1.0)
+    ) -> DrawnMesh:
+        """What is left of an object's mesh for PyBullet to draw; all of it if the object moves by itself."""
+        if self._faces is None or item.motion is not None:
+            return mesh
+        return self._faces.take(item.id, mesh, color_rgba, _LEAST_FACE_M2, scale)
+
+    def _place_faces(self, label_id: int, position_m: Sequence[float], yaw_rad: float) -> None:
+        if self._faces is not None:
+            self._faces.place(label_id, position_m, yaw_rad)
 
     def _draw(self, mesh: DrawnMesh, color_rgba: Sequence[float]) -> int:
-        """Visual shape of a mesh, by way of an OBJ file, because EGL crashes on meshes handed over as lists."""
+        """Visual shape of a mesh, by way of an OBJ file, because EGL crashes on meshes handed over as lists.
+
+        -1 of a mesh without triangles.
+        """
+        if not len(mesh.corners):
+            return -1
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / f"{Path(folder).name}.obj"  # PyBullet remembers meshes by name
             path.write_text(mesh.obj_text(), encoding="utf-8")
@@ -214,7 +253,9 @@ class PybulletScene:
         if item.shape == "mesh":
             return self._load_mesh(item)
         if item.shape == "box" and item.size_m.max() > _LONGEST_EDGE_M:
-            return self._draw(box_mesh(item.size_m).divide(_LONGEST_EDGE_M), _floats(item.color_rgba)), None
+            color = _floats(item.color_rgba)
+            mesh = self._without_faces(item, box_mesh(item.size_m), color)
+            return self._draw(mesh.divide(_LONGEST_EDGE_M), color), None
         place = {
             "visualFramePosition": (0.0, 0.0, half_height),
             "rgbaColor": _floats(item.color_rgba),
@@ -232,8 +273,9 @@ class PybulletScene:
             raise BringupError(f"object {item.name}: no file {item.mesh}; allowed: an OBJ file")
         scale, mesh = _floats(item.mesh_scale), read_mesh(item.mesh)
         if mesh is not None:
-            divided = mesh.divide(_LONGEST_EDGE_M, scale)
-            if len(divided.corners) > len(mesh.corners):
+            rest = self._without_faces(item, mesh, _WHITE, scale)
+            divided = rest.divide(_LONGEST_EDGE_M, scale)
+            if rest is not mesh or len(divided.corners) > len(mesh.corners):
                 return self._draw(divided.scaled(scale), _WHITE), mesh.texture
         shape = {"fileName": str(item.mesh), "rgbaColor": _WHITE, "meshScale": scale}
         return pybullet.createVisualShape(pybullet.GEOM_MESH, **shape, physicsClientId=self._client), None
