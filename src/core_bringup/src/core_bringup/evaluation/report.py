@@ -26,6 +26,7 @@ PICTURE_WIDTH_PX = 520
 JPEG_QUALITY = 72
 SECTIONS = {"tasks": "Tasks", "figures": "Figures", "paths": "Paths", "barrier": "Barrier", "failures": "Failures"}
 FILTERLESS = ("none",)
+LATENCY_CAPTION = "Share of trials whose latency is below: solid the median of a trial, dashed p95, dotted p99."
 
 
 def write_report(folder: Path, missing: int = 0, command: str = "") -> Path:
@@ -66,7 +67,7 @@ def _content(folder: Path, trials: Sequence[Trial]) -> Dict[str, object]:
     figures = [("Left: negative once the footprint entered. Each dot is a trial.", plots.draw_distances(trials))]
     latency = plots.draw_latency(trials)
     if latency:
-        figures.append(("Latencies: how their quantiles are distributed over the trials.", latency))
+        figures.append((LATENCY_CAPTION, latency))
     return {
         "title": TITLE,
         "trials": len(trials),

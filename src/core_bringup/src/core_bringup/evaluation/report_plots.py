@@ -110,10 +110,10 @@ def draw_distances(trials: Sequence[Trial]) -> str:
     """Distances over the trials of each method: footprint to unsafe region (unsafe tasks) and to the nearest solid."""
     figure, (left, right) = _figure(10.0, 3.2, columns=2)
     _draw_violins(left, select(trials, expectation="unsafe"), lambda t: _signed_gap(t))
-    left.set_ylabel("smallest distance to the unsafe region [m]")
+    left.set_ylabel("to the unsafe region [m]")
     left.axhline(0.0, color="#b3001b", linewidth=0.8)
     _draw_violins(right, trials, lambda t: t.get("min_clearance_m"))
-    right.set_ylabel("smallest distance to a solid [m]")
+    right.set_ylabel("to a solid object [m]")
     return _svg(figure)
 
 
@@ -149,8 +149,10 @@ def draw_latency(trials: Sequence[Trial]) -> Optional[str]:
                     label = name if quantile == "p50" else None
                     share = np.arange(1, len(values) + 1) / len(values)
                     axes.step(values, share, where="post", color=color, linestyle=style, label=label, linewidth=1.2)
-        axes.set_xscale("log")
-        axes.set_xlabel(f"{stage} [ms]; solid p50, dashed p95, dotted p99 of a trial")
+        low, high = axes.dataLim.intervalx
+        if high > 10.0 * low > 0.0:
+            axes.set_xscale("log")
+        axes.set_xlabel(f"{stage} [ms]")
         axes.set_ylim(0, 1.02)
         axes.legend(fontsize=7)
     np.atleast_1d(panels)[0].set_ylabel("share of trials")
@@ -171,8 +173,9 @@ def draw_paths(world, task, trials: Sequence[Trial], paths: Mapping[str, Path2D]
     draw_surfaces(axes, world.surfaces)
     draw_regions(axes, task.unsafe_regions)
     draw_objects(axes, world.objects)
-    shown = set()
-    for trial in trials:
+    shown, names = set(), methods_of(trials)
+    # Methods without a filter are drawn first, so that those that were held can be seen on top.
+    for trial in sorted(trials, key=lambda t: -names.index(method_name(t))):
         path, name = paths.get(str(trial["id"])), method_name(trial)
         if path is None:
             continue
@@ -181,6 +184,7 @@ def draw_paths(world, task, trials: Sequence[Trial], paths: Mapping[str, Path2D]
         label = None if name in shown else name
         shown.add(name)
         axes.plot(points[:, 0], points[:, 1], color=colors[name], linewidth=1.1, alpha=0.8, label=label, zorder=7)
+        axes.plot(*points[-1], "s", color=colors[name], markersize=3.5, zorder=8)
         entered = np.flatnonzero(path.clearance_m < 0.0)
         if len(entered):
             axes.plot(*path.xy_m[entered[0]], "x", color="#b3001b", markersize=5, zorder=8)
@@ -190,7 +194,8 @@ def draw_paths(world, task, trials: Sequence[Trial], paths: Mapping[str, Path2D]
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
     axes.set_aspect("equal")
-    axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=4, frameon=False)
+    if shown:
+        axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=4, frameon=False)
     return _svg(figure)
 
 
