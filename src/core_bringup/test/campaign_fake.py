@@ -47,8 +47,13 @@ def make_fake(folder, body="finish()"):
 
 
 def start_client(command, arguments, before=""):
-    """Run the campaign in a process of its own, without its report; before is Python that runs first."""
-    program = f"""{before}
+    """Run the campaign in a process of its own, without its report; before is Python that runs first.
+
+    It starts with the signals of a terminal, whatever these tests were started under.
+    """
+    program = f"""import signal
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+{before}
 import sys
 from core_bringup.evaluation import evaluate
 evaluate._write_report = lambda *_: True
