@@ -183,7 +183,11 @@ case $command in
     fi
     setup; exec python3 "$here/test/bench/$name.py" "${@:2}" ;;
   lint) setup; exec "$here/test/run_tests" lint ;;
-  install) setup; workspace_make -DCMAKE_INSTALL_PREFIX="$(realpath -m "${1:-$here/install}")" install ;;
+  install)
+    setup
+    target=$(realpath -m "${1:-$here/install}")
+    workspace_make -DCMAKE_INSTALL_PREFIX="$target" install
+    say "installed; in a new shell: . $target/setup.bash; PATH=$venv/bin:\$PATH    # the Python libraries are in the venv" ;;
   run) setup; exec "$@" ;;
   shell) setup; exec bash --rcfile <(printf '[ -f ~/.bashrc ] && . ~/.bashrc\n'; environment; printf 'PS1="(core) $PS1"\n') -i ;;
   env) setup >&2; environment ;;

@@ -6,6 +6,7 @@ import functools
 import io
 import json
 import signal
+import subprocess
 import sys
 import types
 import uuid
@@ -608,3 +609,77 @@ def test_two_graphs_never_get_the_same_port():
     finally:
         for _, claim in claims:
             claim.close()
+
+
+def test_versions_name_the_kernels_that_round(monkeypatch):
+    code = "from core_bringup.evaluation.results import read_versions; print(read_versions()['blas'])"
+    found = []
+    for kernel in ("Haswell", "Sandybridge"):
+        monkeypatch.setenv("OPENBLAS_CORETYPE", kernel)
+        run = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, check=True, text=True)
+        found.append(run.stdout)
+    assert found[0] != found[1] or found[0] == "\n", "a numpy without OpenBLAS has none"
+
+
+@pytest.mark.parametrize("text", ["[]", "5", "null", '"x"', "NaN", "{", ""])
+def test_a_damaged_campaign_file_is_refused_in_one_line(tmp_path, out, capsys, text):
+    command, _ = make_fake(tmp_path)
+    words = (*TWO_METHODS, "--trials", "1", "--out", str(out))
+    assert evaluate.main(words, command) == 0
+    (out / "campaign.json").write_text(text)
+    capsys.readouterr()
+    assert evaluate.main((*words, "--resume"), command) == 2
+    error = capsys.readouterr().err
+    assert "campaign.json: file: " in error and "allowed: " in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ({"id": "oracle/core/cone_line/1", "method": "oracle"}, "id: 'oracle/core/cone_line/1' is no trial of this"),
+        ({"id": "none/-/cone_line/99"}, "id: 'none/-/cone_line/99' is no trial of this campaign"),
+        ({"index": "abc"}, "line 5: no record of a trial"),
+        ({"method": None}, "line 5: no record of a trial"),
+    ],
+)
+def test_a_line_of_another_campaign_is_refused_in_one_line(tmp_path, out, capsys, change, words):
+    command, _ = make_fake(tmp_path)
+    arguments = (*TWO_METHODS, "--trials", "1", "--out", str(out))
+    assert evaluate.main(arguments, command) == 0
+    record = read_trials(out)[0]
+    with (out / "trials.jsonl").open("a") as stream:
+        stream.write(json.dumps({**record, **change}) + "\n")
+    capsys.readouterr()
+    assert evaluate.main((*arguments, "--resume"), command) == 2
+    error = capsys.readouterr().err
+    assert words in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize("left", [(".lock",), (".lock", "campaign.json"), (".lock", "campaign.json", "trials.jsonl")])
+def test_a_folder_in_which_no_trial_was_begun_can_be_used_again(tmp_path, out, left):
+    out.mkdir(parents=True, exist_ok=True)
+    for name in left:  # what a client leaves that found no cluster, or was killed at once
+        (out / name).touch()
+    command, _ = make_fake(tmp_path)
+    assert evaluate.main((*TWO_METHODS, "--trials", "1", "--out", str(out)), command) == 0
+
+
+def test_a_result_that_is_no_json_is_an_error_and_ends_nothing(tmp_path, out):
+    command, _ = make_fake(tmp_path, 'if key.endswith("/1"):\n    result["stop_gap_m"] = float("nan")\nfinish()')
+    words = ("--tasks", "cone_line", "--methods", "none", "--trials", "2", "--out", str(out))
+    assert evaluate.main(words, command) == 1
+    first, second = read_trials(out)
+    assert first["outcome"] == "error" and "no JSON" in first["failure"] and second["outcome"] == "violated"
+
+
+def test_a_copy_of_a_shipped_world_is_a_place_of_its_own(tmp_path, out):
+    path = tmp_path / "warehouse.yaml"
+    shipped = task_choice.find_worlds_dir()
+    path.write_bytes((shipped / "warehouse.yaml").read_bytes())
+    (tmp_path / "models").symlink_to(shipped / "models")
+    # result.json names the world by the name inside the file
+    command, _ = make_fake(tmp_path, 'result.update(world="warehouse")\nfinish()')
+    words = ("--tasks", f"cone_line,{path}/cone_line", "--methods", "none", "--trials", "1", "--out", str(out))
+    assert evaluate.main(words, command) == 0
+    rows = [(row["world"], row["task"], row["methods"][0]["n"]) for row in read_summary(out)["tasks"]]
+    assert rows == [("warehouse", "cone_line", 1), (str(path), "cone_line", 1)]

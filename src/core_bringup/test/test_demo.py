@@ -319,3 +319,13 @@ def test_options_and_words_may_be_mixed():
 def test_help_names_every_argument(capsys):
     assert demo.main(["--help"]) == 0
     assert "method, profile, seed" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
+def test_a_log_that_cannot_be_written_is_told_once_and_the_graph_goes_on(tmp_path):
+    program = tmp_path / "graph"
+    program.write_text("#!/bin/sh\necho one\necho two\n")
+    program.chmod(0o755)
+    with launcher.RoslaunchProcess([str(program)], Path("/dev/full")) as process:
+        lines = [line for line in process.lines() if line is not None]
+    assert lines == ["[FATAL] /dev/full: No space left on device", "one", "two"]

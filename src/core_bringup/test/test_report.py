@@ -4,6 +4,7 @@
 import csv
 import json
 import re
+import shlex
 import shutil
 import subprocess
 
@@ -11,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
+from core_bringup.evaluation import report, report_plots
 from core_bringup.evaluation import report_tables as tables
 from core_bringup.evaluation.report import write_report
 from core_bringup.evaluation.results import TRAJECTORY_COLUMNS
@@ -144,3 +146,17 @@ def test_a_real_browser_shows_the_page(campaign, tmp_path):
                    check=True, capture_output=True, timeout=120)  # fmt: skip
     picture = cv2.imread(str(shot))
     assert picture.shape[:2] == (1600, 1300) and len(np.unique(picture.reshape(-1, 3), axis=0)) > 50
+
+
+def test_the_replay_command_can_be_pasted_whatever_the_folder_is_called(tmp_path):
+    where = tmp_path / "my runs" / "trials"
+    where.mkdir(parents=True)
+    (where / "trial.bag").touch()
+    line = report._failure(tmp_path / "my runs", {"folder": "trials"})["replay"]
+    assert shlex.split(line) == ["roslaunch", "core_bringup", "replay.launch", f"bag:={where / 'trial.bag'}"]
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_stage_that_no_method_has_draws_no_legend():
+    trials = [{"method": "geometric", "profile": "-", "latency_s": {"qp": {"p50": 0.001}, "reasoner": {"p50": None}}}]
+    assert "<svg" in report_plots.draw_latency(trials)

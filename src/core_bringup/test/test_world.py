@@ -61,6 +61,11 @@ BAD = [
     (("objects", 0, "id"), 70000, "allowed: <= 65535"),
     (("objects", 0, "id"), True, "a value of type integer"),
     (("objects", 0, "id"), 2.5, "a value of type integer"),
+    (("objects", 0, "id"), 300.0, "objects[0].id: got 300.0; allowed: a value of type integer"),
+    (("tasks", "walk", "number"), 1.0, "tasks.walk.number: got 1.0; allowed: a value of type integer"),
+    (("name",), "small\n", "name: got 'small\\n'; allowed: text like"),
+    (("objects", 0, "name"), "crate\n", "objects[0].name: got 'crate\\n'"),
+    (("tasks", "walk", "oracle_predicates", 0), "ON(floor)=safe\n", "allowed: text like ON(floor)=safe"),
     (("objects", 0, "name"), "post", "objects[1].name: 'post' is already used by objects[0]"),
     (("objects", 0, "model"), "crte", "unknown model 'crte'; allowed: barrel"),
     (("objects", 0, "position_m"), [0, 0], "at least 3 entries"),
@@ -252,6 +257,14 @@ def refusal(path):
     assert "\n" not in message
     assert message.startswith(str(path))
     return message
+
+
+@pytest.mark.parametrize("key, value", [("texture", "a.png"), ("textures", ["a.png"])])
+@pytest.mark.parametrize("content", [b"", b"garbage", b"\xff\xd8\xff\xe0 JPEG"])
+def test_a_texture_that_is_no_png_is_refused_because_it_would_be_drawn_white(tmp_path, content, key, value):
+    path = write(tmp_path, changed(("surfaces", 0, key), value))
+    (tmp_path / "a.png").write_bytes(content)
+    assert f"surfaces[0].{key}" in refusal(path) and "is no PNG" in refusal(path)
 
 
 @pytest.mark.parametrize("content", ["", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "f 1 2 3\n", "\udc80 no text"])
@@ -502,7 +515,7 @@ def test_light_texture_and_noise_vary_within_their_bounds(tmp_path):
     }  # fmt: skip
     data["surfaces"][0]["textures"] = ["a.png", "b.png", "c.png"]
     for name in data["surfaces"][0]["textures"]:
-        (tmp_path / name).touch()
+        (tmp_path / name).write_bytes(b"\x89PNG\r\n\x1a\n")
     world = load_world(write(tmp_path, data))
     same, _ = vary_world(world, "walk", 0)
     assert same.lighting is world.lighting

@@ -114,6 +114,12 @@ class _ObjectChecks:
             here = place
 
 
+def is_png(path: Path) -> bool:
+    """Whether a file begins as a PNG does; PyBullet draws what it cannot read white and says so nowhere."""
+    with path.open("rb") as stream:
+        return stream.read(8) == b"\x89PNG\r\n\x1a\n"
+
+
 def has_faces(path: Path) -> bool:
     """Whether a file has the vertices and faces of an OBJ; PyBullet takes any other file for an invisible object."""
     words = [line.split()[:4] for line in path.read_bytes().splitlines()]
@@ -136,6 +142,9 @@ def _check_surfaces(source: YamlSource, world: World) -> None:
                 place = path + ((key, k) if key == "textures" else (key,))
                 if not (source.path.parent / name).is_file():
                     problem = f"no file {source.path.parent / name}"
+                    raise source.error(place, problem, "a PNG, relative to the world file")
+                if not is_png(source.path.parent / name):
+                    problem = f"{source.path.parent / name} is no PNG"
                     raise source.error(place, problem, "a PNG, relative to the world file")
         _check_heights(source, world, i)
 

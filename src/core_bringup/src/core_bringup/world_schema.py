@@ -46,7 +46,7 @@ def _mapping(required: Tuple[str, ...], properties: Dict[str, Any]) -> Dict[str,
     return {"type": "object", "additionalProperties": False, "required": list(required), "properties": properties}
 
 
-_NAME = {"type": "string", "pattern": "^[a-z][a-z0-9_]*$"}
+_NAME = {"type": "string", "pattern": r"^[a-z][a-z0-9_]*\Z"}
 _NAMES = _list(_NAME, uniqueItems=True)
 _LABEL_ID = {"type": "integer", "minimum": 1, "maximum": 65535}
 _LENGTH_M = _number(exclusiveMinimum=0, maximum=1000)
@@ -60,7 +60,7 @@ _POLYGON = _list(_POINT_XY, 3, 64)
 _COLOR_RGBA = _numbers(4, minimum=0, maximum=1)
 _PREDICATE = {
     "type": "string",
-    "pattern": r"^(ON|NEAR|AROUND|BETWEEN)\([a-z][a-z0-9_]*(, ?[0-9.]+)?(, ?(stop|slow))?\)=(safe|unsafe)$",
+    "pattern": r"^(ON|NEAR|AROUND|BETWEEN)\([a-z][a-z0-9_]*(, ?[0-9.]+)?(, ?(stop|slow))?\)=(safe|unsafe)\Z",
     "examples": ["ON(floor)=safe", "AROUND(forklift, 1.5)=unsafe"],
 }
 _PREDICATES = _list(_PREDICATE)
@@ -243,6 +243,13 @@ def _explain(error: jsonschema.ValidationError) -> Tuple[Tuple, str, str]:
     return path, f"got {_shorten(error.instance)}", allowed
 
 
+# JSON takes 3.0 for a whole number; a label or a seed must be one.
+_TYPES = jsonschema.Draft7Validator.TYPE_CHECKER.redefine(
+    "integer", lambda _checker, value: isinstance(value, int) and not isinstance(value, bool)
+)
+_VALIDATOR = jsonschema.validators.extend(jsonschema.Draft7Validator, type_checker=_TYPES)
+
+
 def check_schema(source: YamlSource) -> None:
     """Check a world file against WORLD_SCHEMA; ConfigError is the first complaint, in the order of the file."""
     _check(source, WORLD_SCHEMA)
@@ -254,7 +261,7 @@ def check_catalogue(source: YamlSource) -> None:
 
 
 def _check(source: YamlSource, schema: Dict[str, Any]) -> None:
-    errors = list(jsonschema.Draft7Validator(schema).iter_errors(source.data))
+    errors = list(_VALIDATOR(schema).iter_errors(source.data))
     complaints = [source.error(*_explain(error)) for error in errors]
     if complaints:
         raise min(complaints, key=_line_of)

@@ -45,6 +45,7 @@ class Campaign:
         """Find out what is left."""
         self._plan, self._store, self._executor = plan, store, executor
         self._limit_s = limit_s
+        store.refuse_strangers({spec.id for spec in plan})
         self._queue: Deque[TrialSpec] = deque(spec for spec in plan if self._is_open(spec, retry_errors))
         self._running: Dict[Future, TrialSpec] = {}
         self._lost: Dict[str, int] = {}
@@ -119,7 +120,11 @@ class Campaign:
         if spec.id in self._lost:
             record["lost_runs"] = self._lost[spec.id]
         renewed = self._store.find(spec.id) is not None
-        self._store.append(record, folder)
+        try:
+            self._store.append(record, folder)
+        except ValueError as error:  # not a number in it: as an error it is told, and not run again for ever
+            record = make_record(spec, RunReport(1, None, f"a result that is no JSON: {error}"), 0.0)
+            self._store.append(record, folder)
         self.progress.add(record, renewed)
 
     @contextlib.contextmanager

@@ -17,7 +17,7 @@ import os
 import shutil
 import uuid
 from pathlib import Path
-from typing import Dict, List, Mapping, Optional, Tuple
+from typing import Container, Dict, List, Mapping, Optional, Tuple
 
 from core_bringup.evaluation.results import atomic_path, write_json
 from core_bringup.evaluation.summary import summarize
@@ -52,10 +52,16 @@ def _read_lines(path: Path) -> Tuple[List[dict], int]:
             record = json.loads(line.decode("utf-8"))
         except ValueError:
             record = None
-        if not isinstance(record, dict) or not isinstance(record.get("id"), str):
+        if not isinstance(record, dict) or not _is_record(record):
             raise ConfigError(str(path), f"line {number}", "no record of a trial", "a JSON object with an id per line")
         records.append(record)
     return records, whole
+
+
+def _is_record(record: Mapping[str, object]) -> bool:
+    """Whether a line says what counting and sorting need."""
+    texts = all(isinstance(record.get(key), str) for key in ("id", "method", "profile"))
+    return texts and isinstance(record.get("index", 0), int)
 
 
 def _newest(records: List[dict]) -> List[dict]:
@@ -96,7 +102,10 @@ class CampaignStore:
         self._lock = None
         self._stream: Optional[int] = None
         path = self.folder / SETTINGS_NAME
-        if self.folder.is_dir() and any(self.folder.iterdir()):
+        begun = path.is_file() or any(entry.name != LOCK_NAME for entry in _entries(self.folder))
+        nothing_run = not (self.folder / "trials").exists() and _is_empty(self.folder / TRIALS_NAME)
+        ours = {entry.name for entry in _entries(self.folder)} <= {LOCK_NAME, SETTINGS_NAME, TRIALS_NAME}
+        if begun and not (ours and nothing_run and not resume):
             if not resume:
                 raise ConfigError("evaluate", "--out", f"{self.folder} is not empty", "--resume, or another folder")
             if not path.is_file():
@@ -139,6 +148,20 @@ class CampaignStore:
     def records(self) -> List[dict]:
         """The finished trials, as read_trials gives them."""
         return _newest(list(self._records.values()))
+
+    def refuse_strangers(self, planned: Container[str]) -> None:
+        """Refuse records of trials that are not of this campaign.
+
+        Args:
+            planned: ids of all its trials.
+
+        Raises:
+            ConfigError: a record of another campaign is among ours.
+        """
+        for name in self._records:
+            if name not in planned:
+                source, allowed = str(self.folder / TRIALS_NAME), "trials of this campaign only"
+                raise ConfigError(source, "id", f"{name!r} is no trial of this campaign", allowed)
 
     def find(self, trial_id: str) -> Optional[dict]:
         """The newest record of a trial, None when it has not been run."""
@@ -188,11 +211,21 @@ class CampaignStore:
         return summary
 
 
+def _entries(folder: Path) -> List[Path]:
+    return list(folder.iterdir()) if folder.is_dir() else []
+
+
+def _is_empty(path: Path) -> bool:
+    return not path.exists() or path.stat().st_size == 0
+
+
 def _refuse_other_settings(path: Path, wanted: Mapping[str, object]) -> None:
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
         raise ConfigError(str(path), "file", "no JSON document", "what evaluate wrote") from error
+    if not isinstance(kept, dict):
+        raise ConfigError(str(path), "file", f"got {type(kept).__name__}", "a JSON object, as evaluate wrote it")
     for key in sorted({*kept, *wanted}):
         if kept.get(key) != wanted.get(key):
             problem = f"{key}: got {json.dumps(wanted.get(key))}"

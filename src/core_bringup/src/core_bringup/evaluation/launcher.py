@@ -135,10 +135,15 @@ class RoslaunchProcess:
         return environment
 
     def _read(self, stream: IO[bytes]) -> None:
-        with self._log_path.open("wb") as log:
+        """Hand on and log what the graph prints; where the log cannot be written, the graph goes on all the same."""
+        with self._log_path.open("wb", buffering=0) as log:
+            logs = True
             for raw in stream:
-                log.write(raw)
-                log.flush()
+                try:
+                    logs = logs and log.write(raw) == len(raw)
+                except OSError as error:
+                    logs = False
+                    self._lines.put(f"[FATAL] {self._log_path}: {error.strerror}")
                 self._lines.put(ANSI_CODE.sub("", raw.decode("utf-8", "replace")).rstrip("\n"))
         self._lines.put(None)
 

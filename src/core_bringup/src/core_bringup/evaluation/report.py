@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import base64
+import shlex
 from pathlib import Path
 from typing import Dict, List, Mapping, Optional, Sequence, Tuple
 
@@ -22,6 +23,7 @@ from core_bringup.world import load_world
 TEMPLATE = "report.html.j2"
 TITLE = "CORE: contextual safety, evaluated"
 PICTURES = {"frame_1.png": "first sight", "frame_2.png": "braking", "frame_3.png": "end", "topdown.png": "from above"}
+REPLAY = ("roslaunch", "core_bringup", "replay.launch")
 PICTURE_WIDTH_PX = 520
 JPEG_QUALITY = 72
 SECTIONS = {"tasks": "Tasks", "figures": "Figures", "paths": "Paths", "barrier": "Barrier", "failures": "Failures"}
@@ -137,7 +139,7 @@ def _failure(folder: Path, trial: Trial) -> dict:
         "command": trial.get("command", ""),
         "trajectory_sha256": trial.get("trajectory_sha256"),
         "detail": trial.get("failure") or trial.get("end_detail") or "",
-        "replay": f"roslaunch core_bringup replay.launch bag:={bag.resolve()}" if bag.is_file() else "",
+        "replay": shlex.join([*REPLAY, f"bag:={bag.resolve()}"]) if bag.is_file() else "",
         "images": [(caption, source) for caption, source in images if source],
     }
 

@@ -154,7 +154,8 @@ def draw_latency(trials: Sequence[Trial]) -> Optional[str]:
             axes.set_xscale("log")
         axes.set_xlabel(f"{stage} [ms]")
         axes.set_ylim(0, 1.02)
-        axes.legend(fontsize=7)
+        if axes.get_legend_handles_labels()[0]:  # no method of this campaign has the stage
+            axes.legend(fontsize=7)
     np.atleast_1d(panels)[0].set_ylabel("share of trials")
     return _svg(figure)
 

@@ -10,7 +10,7 @@ import os
 import platform
 import tempfile
 from pathlib import Path
-from typing import Iterator, Sequence
+from typing import Iterator, List, Sequence
 
 from core_bringup.evaluation.metrics import trajectory_row
 from core_bringup.evaluation.records import TickRecord
@@ -86,7 +86,32 @@ def read_versions() -> dict:
     versions["ros"] = os.environ.get("ROS_DISTRO", "")
     for name in ("numpy", "pybullet", "cvxpy", "daqp", "matplotlib"):
         versions[name] = _package_version(name)
+    versions["blas"] = ", ".join(read_blas_kernels())
     return versions
+
+
+def read_blas_kernels() -> List[str]:
+    """Names of the kernels that OpenBLAS has chosen in this process, by the processor or by OPENBLAS_CORETYPE.
+
+    Each rounds in its own way, so that hashes are equal only where these are.
+    """
+    import ctypes
+
+    import numpy  # noqa: F401  loads the library
+
+    maps = Path("/proc/self/maps")
+    if not maps.exists():
+        return []
+    words = [line.split(maxsplit=5)[5:] for line in maps.read_text(encoding="utf-8", errors="replace").splitlines()]
+    names = set()
+    for path in sorted({word[0] for word in words if word and "openblas" in word[0]}):
+        library = ctypes.CDLL(path)  # loaded already: the same one
+        for symbol in ("openblas_get_corename64_", "openblas_get_corename", "scipy_openblas_get_corename64_"):
+            if hasattr(library, symbol):
+                function = getattr(library, symbol)
+                function.restype = ctypes.c_char_p
+                names.add(function().decode("ascii", "replace"))
+    return sorted(names)
 
 
 def _package_version(name: str) -> str:

@@ -92,7 +92,7 @@ class TrialSpec:
             content["world_file"] = task.world
         return dict(
             content, id=self.id, index=self.index, method=self.method.name, profile=self.method.profile,
-            world=Path(task.world).stem, task=task.name, trial=self.trial, seed=self.seed,
+            world=task.world, task=task.name, trial=self.trial, seed=self.seed,
             folder=f"trials/{self.id}", command=self.command, launch=[*self.words, *self.extra_words],
         )  # fmt: skip
 
