@@ -171,6 +171,15 @@ BAD_TASKS = [
     in_task("time_limit_s", 7, "", "got 7; allowed: >= 7.2, the way to the goal at 0.5 m/s"),
     in_task("start_pose", [3.0, 0.3, 0], "", "starts in the unsafe region far; allowed: a start"),
     in_task("start_pose", [2.0, 2.0, 0], "", "deep in a solid object; allowed: a start"),
+    in_task("start_variation", [2.6, 0, 0], "", "a seed may start at (2.6, 0, 0), in the unsafe region far;"),
+    in_task("start_variation", [1.6, 1.6, 0], "", "deep in a solid object; allowed: a start"),
+    in_task("expectation", "safe", "", "got 'safe', but the way enters far; allowed: unsafe, or another way"),
+    (
+        REGION,
+        region(polygon_m=[[-5, -5], [-4, -5], [-4, -4]]),
+        "tasks.walk.expectation",
+        "but the way enters no region",
+    ),
     in_task("hides", ["crate_9"], "[0]", "no object 'crate_9' in the world's list; allowed: cone"),
     in_task("hides", ["post", "post"], "", "allowed: entries that differ"),
     extra("id", "2 is already used by objects[0]", id=2),
@@ -347,6 +356,7 @@ def test_the_same_bad_ways_are_right_when_they_are_right(tmp_path):
 def task_world(tmp_path, **keys):
     data = copy.deepcopy(GOOD)
     data["tasks"]["walk"].update(objects=[{**WALKER, "position_m": [-3, 3, 0]}], hides=["post", "crate_1"])
+    data["tasks"]["walk"]["expectation"] = "safe"
     data["tasks"]["walk"]["unsafe_regions"] = [
         region(around={"object": "walker", "radius_m": 1}, because=["AROUND(person)=unsafe"])
     ]

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from typing import Dict, Sequence
+import itertools
+from typing import Dict, Iterator, Sequence, Tuple
 
 import numpy as np
 
@@ -16,7 +17,8 @@ from core_perception.predicates import parse_predicate
 
 MIN_AREA_M2 = 1e-4
 NOMINAL_SPEED_MPS = 0.5  # at which the way must be walkable within the time limit
-CHECK_FOOTPRINT_M = (1.1, 0.5)  # of the shipped robot, for the start
+CHECK_FOOTPRINT_M = (1.1, 0.5)  # of the shipped robot, for the start and the way
+WAY_STEP_M = 0.5  # between places at which the footprint is laid on the way; shorter than the footprint
 _KINDS = ("polygon_m", "disc", "around")
 _RULES = ("predicate", "guideline")
 
@@ -40,6 +42,7 @@ def check_tasks(source: YamlSource, world: World) -> None:
         checks.check_predicates()
         checks.check_events()
         checks.check_start()
+        checks.check_expectation()
 
 
 class _TaskChecks:
@@ -151,12 +154,54 @@ class _TaskChecks:
                 self._check_predicate(("events", i, "add_rule", "predicate"), event.text, None)
 
     def check_start(self) -> None:
-        """The robot starts free of solid objects and outside every unsafe region."""
+        """Wherever a seed may put it, the robot starts free of solid objects and outside every unsafe region."""
         world = self._world.for_task(self._task.name)
-        regions = world.task(self._task.name).unsafe_regions
-        state = GroundTruth(regions, world.objects, *CHECK_FOOTPRINT_M).evaluate(*self._task.start_pose)
-        if state.inside:
-            raise self._error(("start_pose",), f"starts in the unsafe region {state.region}", "a start outside of it")
-        if state.obstacle_clearance_m < 0.0:
-            problem = f"starts {-state.obstacle_clearance_m:.2f} m deep in a solid object"
-            raise self._error(("start_pose",), problem, "a start that is free for the footprint of 1.1 x 0.5 m")
+        truth = GroundTruth(world.task(self._task.name).unsafe_regions, world.objects, *CHECK_FOOTPRINT_M)
+        for key, where, pose in self._starts():
+            state = truth.evaluate(*pose)
+            if state.inside:
+                problem = f"{where} in the unsafe region {state.region}"
+                raise self._error((key,), problem, "a start outside of it")
+            if state.obstacle_clearance_m < 0.0:
+                problem = f"{where} {-state.obstacle_clearance_m:.2f} m deep in a solid object"
+                raise self._error((key,), problem, "a start that is free for the footprint of 1.1 x 0.5 m")
+            free_m = min(state.clearance_m, state.obstacle_clearance_m)
+            if key == "start_pose" and free_m > self._largest_shift_m():
+                return  # no corner can reach anything
+
+    def _largest_shift_m(self) -> float:
+        """Bound on how far the start's variation moves any point of the footprint [m]."""
+        dx_m, dy_m, dyaw_rad = self._task.start_variation
+        return float(np.hypot(dx_m, dy_m) + dyaw_rad * 0.5 * np.hypot(*CHECK_FOOTPRINT_M))
+
+    def _starts(self) -> Iterator[Tuple[str, str, np.ndarray]]:
+        """Key, words and pose (3,) of the start as written and of the corners of its variation."""
+        task = self._task
+        yield "start_pose", "starts", task.start_pose
+        for signs in itertools.product((-1.0, 1.0), repeat=3):
+            pose = task.start_pose + np.array(signs) * task.start_variation
+            yield "start_variation", f"a seed may start at ({pose[0]:g}, {pose[1]:g}, {pose[2]:g}),", pose
+
+    def check_expectation(self) -> None:
+        """The straight way through the waypoints enters an unsafe region, or does not, as the task expects.
+
+        Regions that move are left out: whether they are met is a matter of time.
+        """
+        task = self._world.for_task(self._task.name).task(self._task.name)
+        still = [region for region in task.unsafe_regions if region.item is None or region.item.motion is None]
+        truth = GroundTruth(still, (), *CHECK_FOOTPRINT_M)
+        states = [truth.evaluate(*pose) for pose in self._way_poses()]
+        entered = next((state.region for state in states if state.inside), None)
+        if task.expectation == "safe" and entered is not None:
+            raise self._error(("expectation",), f"got 'safe', but the way enters {entered}", "unsafe, or another way")
+        if task.expectation == "unsafe" and entered is None and len(still) == len(task.unsafe_regions):
+            raise self._error(("expectation",), "got 'unsafe', but the way enters no region", "safe, or another way")
+
+    def _way_poses(self) -> Iterator[np.ndarray]:
+        """Poses (3,) every WAY_STEP_M along the straight way, heading along it."""
+        points = np.vstack([self._task.start_pose[:2], self._task.waypoints_m])
+        for begin, end in zip(points, points[1:]):
+            steps = max(int(np.ceil(np.linalg.norm(end - begin) / WAY_STEP_M)), 1)
+            yaw_rad = np.arctan2(*(end - begin)[::-1])
+            for share in np.linspace(0.0, 1.0, steps + 1):
+                yield np.array([*(begin + share * (end - begin)), yaw_rad])
