@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The demo against a fake roslaunch: exit status, table, failures, and that nothing is left running."""
 
-import contextlib
 import json
-import os
 import signal
 import stat
 import subprocess
@@ -13,6 +11,7 @@ import uuid
 from pathlib import Path
 
 import pytest
+from campaign_fake import started_processes
 
 from core_bringup.evaluation import demo, demo_report, launcher
 from core_bringup.evaluation.demo_run import find_cause, find_reason, find_refusal, read_marked, run_demo
@@ -71,18 +70,6 @@ def nothing_is_left(monkeypatch):
     monkeypatch.setenv("CORE_TEST_ID", uuid.uuid4().hex)
     yield
     assert started_processes() == []
-
-
-def started_processes():
-    """Processes of the runs this test has started."""
-    marks = (f"CORE_TEST_ID={os.environ['CORE_TEST_ID']}".encode(), launcher.RUN_ID_VARIABLE.encode() + b"=")
-    found = []
-    for entry in Path("/proc").glob("[0-9]*"):
-        with contextlib.suppress(OSError):
-            environment = (entry / "environ").read_bytes()
-            if all(mark in environment for mark in marks):
-                found.append(int(entry.name))
-    return found
 
 
 def test_a_completed_run_gives_progress_and_result(fake, request_):

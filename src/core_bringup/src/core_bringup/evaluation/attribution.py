@@ -19,6 +19,7 @@ rules".
 
 from __future__ import annotations
 
+import abc
 from collections import Counter
 from dataclasses import dataclass, field
 from statistics import median
@@ -93,20 +94,20 @@ class FailedTrial:
     aliases: Mapping[str, str] = field(default_factory=dict)
 
 
-class Grounding:
+class Grounding(abc.ABC):
     """What the grid in force said against the truth; asked only at the ticks that matter."""
 
+    @abc.abstractmethod
     def border_is_unsafe(self, index: int) -> bool:
         """Whether the region's border at the place of entry was unsafe at a tick."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def binding_is_right(self, index: int) -> bool:
         """Whether what bound the filter at a tick is unsafe in truth, granted the rules that a perfect reasoner has."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def binding_gap_m(self, index: int) -> float:
         """Distance from the footprint to the place that bound the filter at a tick [m]."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)

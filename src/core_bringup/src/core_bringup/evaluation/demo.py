@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import sys
 import threading
 import time
@@ -14,7 +15,7 @@ from typing import List, Mapping, Optional, Sequence
 from tqdm import tqdm
 
 from core_bringup.evaluation import demo_report
-from core_bringup.evaluation.command_line import OneLineParser, interrupt_on_signals
+from core_bringup.evaluation.command_line import OneLineParser, Program, run_program
 from core_bringup.evaluation.demo_run import LAUNCH_COMMAND, LOG_NAME, RunReport, run_demo
 from core_bringup.evaluation.preflight import ARGUMENT_NAMES, DemoRequest, check_request, parse_arguments
 from core_bringup.evaluation.results import write_json
@@ -182,22 +183,18 @@ def _print_failure(report: RunReport) -> None:
     print(report.failure, file=sys.stderr)
 
 
+def run_options(options: argparse.Namespace, command: Sequence[str] = LAUNCH_COMMAND) -> int:
+    """Run what is asked for; returns the exit status."""
+    request = parse_arguments(options.words)
+    time_limit_s = check_request(request)
+    if options.seeds is not None:
+        return run_seeds(request, options.seeds, options.jobs, command)
+    return run_one(request, time_limit_s, command)
+
+
 def main(arguments: Optional[Sequence[str]] = None, command: Sequence[str] = LAUNCH_COMMAND) -> int:
     """Entry of scripts/demo; see HELP."""
-    interrupt_on_signals()
-    try:
-        options = parse_options(sys.argv[1:] if arguments is None else arguments)
-        if options.help:
-            print(HELP, end="")
-            return 0
-        request = parse_arguments(options.words)
-        time_limit_s = check_request(request)
-        if options.seeds is not None:
-            return run_seeds(request, options.seeds, options.jobs, command)
-        return run_one(request, time_limit_s, command)
-    except ConfigError as error:
-        print(error, file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted; everything that was started has been stopped", file=sys.stderr)
-        return 130
+    run = functools.partial(run_options, command=command)
+    return run_program(
+        Program("demo", HELP, parse_options, run, "everything that was started has been stopped"), arguments
+    )

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import hashlib
 import shlex
 import sys
@@ -13,14 +14,14 @@ from typing import Dict, List, Optional, Sequence
 from core_bringup.evaluation import preflight
 from core_bringup.evaluation.campaign import Campaign
 from core_bringup.evaluation.campaign_store import CampaignStore
-from core_bringup.evaluation.command_line import OneLineParser, interrupt_on_signals
+from core_bringup.evaluation.command_line import OneLineParser, Program, run_program
 from core_bringup.evaluation.demo_run import LAUNCH_COMMAND
 from core_bringup.evaluation.executors import DaskExecutor, LocalExecutor
 from core_bringup.evaluation.sources import read_sources_hash
 from core_bringup.evaluation.task_choice import SPLITS, choose_tasks
 from core_bringup.evaluation.trial_runner import RunRules
 from core_bringup.evaluation.trial_spec import DEFAULT_METHODS, SEEDS_PER_BASE, TrialSpec, make_trials, read_methods
-from core_bringup.exceptions import BringupError, ConfigError
+from core_bringup.exceptions import ConfigError
 from core_bringup.params import BACKENDS
 from core_bringup.world import resolve_world_path
 
@@ -222,19 +223,6 @@ def format_summary(summary: dict, out: Path) -> str:
 
 def main(arguments: Optional[Sequence[str]] = None, command: Sequence[str] = LAUNCH_COMMAND) -> int:
     """Entry of scripts/evaluate; see HELP."""
-    interrupt_on_signals()
-    try:
-        options = parse_options(sys.argv[1:] if arguments is None else arguments)
-        if options.help:
-            print(HELP, end="")
-            return 0
-        return run_campaign(options, command)
-    except ConfigError as error:
-        print(error, file=sys.stderr)
-        return 2
-    except (BringupError, OSError) as error:
-        print(f"evaluate: {' '.join(str(error).split())}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("interrupted; nothing that has finished is lost; --resume goes on", file=sys.stderr)
-        return 130
+    interrupted = "nothing that has finished is lost; --resume goes on"
+    run = functools.partial(run_campaign, command=command)
+    return run_program(Program("evaluate", HELP, parse_options, run, interrupted), arguments)

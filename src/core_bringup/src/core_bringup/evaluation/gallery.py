@@ -11,10 +11,10 @@ from typing import Dict, List, Optional, Sequence
 import numpy as np
 from tqdm import tqdm
 
-from core_bringup.evaluation.command_line import OneLineParser
+from core_bringup.evaluation.command_line import OneLineParser, Program, run_program
 from core_bringup.evaluation.contact_sheet import arrange_grid, shrink, stack_sheets, write_picture
 from core_bringup.evaluation.gallery_views import catalogue_names, draw_bird_view, draw_models, draw_tasks
-from core_bringup.exceptions import BringupError, ConfigError
+from core_bringup.exceptions import ConfigError
 from core_bringup.params import find_robot_file
 from core_bringup.robot import RobotConfig
 from core_bringup.world import find_worlds_dir, load_world
@@ -102,27 +102,19 @@ def _count(bar: tqdm, picture: np.ndarray) -> np.ndarray:
     return picture
 
 
+def run_gallery(options: argparse.Namespace) -> int:
+    """Draw what is asked for; returns the exit status."""
+    if options.out.exists() and not options.out.is_dir():
+        raise ConfigError("gallery", "--out", f"{options.out} is a file", "a folder")
+    shipped = sorted(path.stem for path in find_worlds_dir().glob("*.yaml"))
+    models = choose_names("models", options.models, options.worlds, catalogue_names())
+    worlds = [load_world(name) for name in choose_names("worlds", options.worlds, options.models, shipped)]
+    for path in write_gallery(options.out, models, worlds, RobotConfig.load(find_robot_file())):
+        print(path)
+    return 0
+
+
 def main(arguments: Optional[Sequence[str]] = None) -> int:
     """Entry of scripts/gallery; see HELP."""
-    try:
-        options = parse_options(sys.argv[1:] if arguments is None else arguments)
-        if options.help:
-            print(HELP, end="")
-            return 0
-        if options.out.exists() and not options.out.is_dir():
-            raise ConfigError("gallery", "--out", f"{options.out} is a file", "a folder")
-        shipped = sorted(path.stem for path in find_worlds_dir().glob("*.yaml"))
-        models = choose_names("models", options.models, options.worlds, catalogue_names())
-        worlds = [load_world(name) for name in choose_names("worlds", options.worlds, options.models, shipped)]
-        for path in write_gallery(options.out, models, worlds, RobotConfig.load(find_robot_file())):
-            print(path)
-        return 0
-    except ConfigError as error:
-        print(error, file=sys.stderr)
-        return 2
-    except (BringupError, OSError) as error:
-        print(f"gallery: {' '.join(str(error).split())}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return 130
+    program = Program("gallery", HELP, parse_options, run_gallery, "pictures that were finished stay")
+    return run_program(program, arguments)
