@@ -9,6 +9,7 @@ from typing import Dict, List, Mapping, Sequence
 
 from tqdm import tqdm
 
+from core_bringup.evaluation.summary import method_heading
 from core_bringup.evaluation.trial_spec import TrialSpec
 
 COUNT_PERIOD = 20  # finished trials between two plain lines of counts
@@ -27,7 +28,7 @@ class CampaignProgress:
         self._total = len(plan)
         self._finished, self._begun_at = len(done), time.monotonic()
         self._new = 0
-        self._counts: Dict[str, List[int]] = {_heading(s.method.name, s.method.profile): [0, 0, 0] for s in plan}
+        self._counts: Dict[str, List[int]] = {method_heading(s.method.name, s.method.profile): [0, 0, 0] for s in plan}
         for record in done:
             self._count(record)
         self._bar = None
@@ -75,13 +76,13 @@ class CampaignProgress:
             self._bar.close()
 
     def _count(self, record: Mapping[str, object]) -> None:
-        count = self._counts[_heading(record["method"], record["profile"])]
+        count = self._counts[method_heading(record["method"], record["profile"])]
         count[0] += bool(record.get("success"))
         count[1] += 1
         count[2] += record.get("outcome") == "error"
 
     def _uncount_error(self, record: Mapping[str, object]) -> None:
-        count = self._counts[_heading(record["method"], record["profile"])]
+        count = self._counts[method_heading(record["method"], record["profile"])]
         count[1] -= 1
         count[2] -= 1
 
@@ -100,7 +101,3 @@ def format_trial(record: Mapping[str, object]) -> str:
     if int(record.get("attempt") or 1) > 1:
         text += f", attempt {record['attempt']}"
     return text + (f"  {record['failure']}" if record.get("failure") else "")
-
-
-def _heading(method: object, profile: object) -> str:
-    return str(method) if profile in ("-", "core") else f"{method} ({profile})"

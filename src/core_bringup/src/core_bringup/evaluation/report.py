@@ -65,7 +65,8 @@ def _template() -> jinja2.Template:
 def _content(folder: Path, trials: Sequence[Trial]) -> Dict[str, object]:
     scopes = [scope for scope in tables.SCOPES if any(tables.scope_of(t) == scope for t in trials)]
     paths = plots.read_paths(folder, trials)
-    headings, rows = tables.build_figure_table(trials)
+    main_tables = {scope: tables.build_main_table(trials, scope) for scope in scopes}
+    headings, figure_rows = tables.build_figure_table(trials)
     figures = [("Left: negative once the footprint entered. Each dot is a trial.", plots.draw_distances(trials))]
     latency = plots.draw_latency(trials)
     if latency:
@@ -78,11 +79,11 @@ def _content(folder: Path, trials: Sequence[Trial]) -> Dict[str, object]:
         "methods": tables.methods_of(trials),
         "versions": next((t["versions"] for t in trials if t.get("versions")), {}),
         "sections": [(scope, tables.SCOPES[scope]) for scope in scopes] + list(SECTIONS.items()),
-        "tables": [(scope, tables.SCOPES[scope], tables.build_main_table(trials, scope)) for scope in scopes],
-        "success": {s: plots.draw_success([t for t in trials if tables.scope_of(t) == s]) for s in scopes},
+        "tables": [(scope, tables.SCOPES[scope], rows) for scope, rows in main_tables.items()],
+        "success": {scope: plots.draw_success(rows) for scope, rows in main_tables.items()},
         "grid": tables.build_task_grid(trials),
         "figure_headings": headings,
-        "figure_rows": rows,
+        "figure_rows": figure_rows,
         "plots": figures,
         "paths": _draw_task_paths(trials, paths),
         "barriers": _draw_barriers(trials, paths),

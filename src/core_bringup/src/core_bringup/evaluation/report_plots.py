@@ -23,12 +23,11 @@ from core_bringup.evaluation.report_tables import (  # noqa: E402
     method_name,
     methods_of,
     of_method,
-    select,
-    success_rate,  # noqa: E402
+    select,  # noqa: E402
 )
 
 COLORS = ("#1d4e89", "#1b7f4b", "#b7791f", "#7a5ea8", "#8a8f95", "#b3001b", "#3f8f8b", "#a65b7a")
-BARS = (("all", None, "#5b6670"), ("safe", "safe", "#1b7f4b"), ("unsafe", "unsafe", "#b3001b"))
+BARS = (("total", "all", "#5b6670"), ("safe", "safe", "#1b7f4b"), ("unsafe", "unsafe", "#b3001b"))
 PATH_POINTS = 120  # a path is drawn with at most so many points
 MARGIN_M = 1.0
 # Equal input gives equal text: no date, and names of parts that do not change from run to run.
@@ -83,15 +82,13 @@ def method_colors(trials: Sequence[Trial]) -> Dict[str, str]:
     return {name: COLORS[i % len(COLORS)] for i, name in enumerate(methods_of(trials))}
 
 
-def draw_success(trials: Sequence[Trial]) -> str:
-    """Share of successes with Wilson intervals: all, safe and unsafe tasks of every method."""
-    names = methods_of(trials)
+def draw_success(rows: Sequence[Mapping[str, object]]) -> str:
+    """Share of successes with Wilson intervals: all, safe and unsafe tasks of every row of the main table."""
     figure, axes = _figure(10.0, 3.0)
     width = 0.26
-    for k, (label, expectation, color) in enumerate(BARS):
-        for i, name in enumerate(names):
-            own = of_method(trials, name)
-            rate = success_rate(select(own, expectation=expectation) if expectation else own)
+    for k, (key, label, color) in enumerate(BARS):
+        for i, row in enumerate(rows):
+            rate = row[key]
             if not rate.trials:
                 continue
             share, (low, high) = rate.successes / rate.trials, rate.interval
@@ -99,7 +96,7 @@ def draw_success(trials: Sequence[Trial]) -> str:
             axes.bar(x, 100 * share, width, color=color, alpha=0.8, label=label if i == 0 else None)
             axes.errorbar(x, 100 * share, [[100 * max(share - low, 0)], [100 * max(high - share, 0)]], color="black",
                           capsize=2.5, linewidth=1.0)  # fmt: skip
-    axes.set_xticks(range(len(names)), names)
+    axes.set_xticks(range(len(rows)), [row["method"] for row in rows])
     axes.set_ylim(0, 105)
     axes.set_ylabel("success [%]")
     axes.legend(ncols=3, loc="upper right", fontsize=8, framealpha=0.9)

@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-import statistics
 from dataclasses import dataclass
 from typing import Dict, List, Mapping, Optional, Sequence, Tuple
 
-from core_bringup.evaluation.summary import wilson_interval
+from core_bringup.evaluation.summary import ATTRIBUTIONS, method_heading, summarize, wilson_interval
 
 Trial = Mapping[str, object]
 
@@ -26,7 +25,6 @@ SCOPES = {
     "own": "Our own tasks",
     "heldout": "Held-out arrangements",
 }
-CAUSES = ("ctx", "grnd", "enf")
 # Figure of result.json -> (heading, unit, digits); the table gives medians.
 FIGURES = {
     "stop_gap_m": ("stop gap", "m", 2),
@@ -69,9 +67,8 @@ class Rate:
 
 
 def method_name(trial: Trial) -> str:
-    """Method of a trial as a heading: the profile is said when it is not the default."""
-    profile = trial.get("profile")
-    return f"{trial['method']}" + (f" ({profile})" if profile not in ("core", "-", None) else "")
+    """Method of a trial as a heading."""
+    return method_heading(trial["method"], trial["profile"])
 
 
 def scope_of(trial: Trial) -> str:
@@ -88,8 +85,7 @@ def select(trials: Sequence[Trial], **wanted: object) -> List[Trial]:
 
 def methods_of(trials: Sequence[Trial]) -> List[str]:
     """Headings in the order of the paper's table, others behind; variants of one method by name."""
-    bases = {method_name(trial): str(trial["method"]).split(":")[0] for trial in trials}
-    return sorted(bases, key=lambda name: (METHOD_ORDER.get(bases[name], len(METHOD_ORDER)), name))
+    return [method_heading(row["name"], row["profile"]) for row in _method_rows(trials)]
 
 
 def of_method(trials: Sequence[Trial], name: str) -> List[Trial]:
@@ -97,68 +93,72 @@ def of_method(trials: Sequence[Trial], name: str) -> List[Trial]:
     return [trial for trial in trials if method_name(trial) == name]
 
 
-def success_rate(trials: Sequence[Trial]) -> Rate:
-    """How many of these succeeded."""
-    return Rate(sum(1 for trial in trials if trial.get("success")), len(trials))
+def _method_rows(trials: Sequence[Trial]) -> List[Mapping[str, object]]:
+    """The rows of summary.json in the order of methods_of."""
+
+    def place(row: Mapping[str, object]) -> Tuple[int, str]:
+        return METHOD_ORDER.get(_base(row["name"]), len(METHOD_ORDER)), method_heading(row["name"], row["profile"])
+
+    return sorted(summarize(trials)["methods"], key=place)
+
+
+def _base(name: object) -> str:
+    return str(name).split(":")[0]
 
 
 def build_main_table(trials: Sequence[Trial], scope: str) -> List[Dict[str, object]]:
     """One row per method of a scope: rates, causes of failure and, for the paper's tasks, the paper's own row."""
-    chosen = [trial for trial in trials if scope_of(trial) == scope]
     rows = []
-    for name in methods_of(chosen):
-        own = of_method(chosen, name)
-        row: Dict[str, object] = {"method": name, "errors": len(select(own, outcome="error"))}
-        row["total"] = success_rate(own)
-        for expectation in ("safe", "unsafe"):
-            row[expectation] = success_rate(select(own, expectation=expectation))
-        row.update({cause: Rate(len(select(own, attribution=cause)), len(own)) for cause in CAUSES})
-        base = PAPER_ROW.get(str(own[0]["method"]).split(":")[0])
-        row["paper"] = PAPER_TABLE[base] if base and scope == "paper" else None
-        row["paper_name"] = base
-        rows.append(row)
+    for counts in _method_rows([trial for trial in trials if scope_of(trial) == scope]):
+        paper_name = PAPER_ROW.get(_base(counts["name"]))
+        rows.append(
+            {
+                "method": method_heading(counts["name"], counts["profile"]),
+                "errors": counts["errors"],
+                "total": Rate(counts["success"], counts["n"]),
+                "safe": Rate(counts["safe_success"], counts["safe_n"]),
+                "unsafe": Rate(counts["unsafe_success"], counts["unsafe_n"]),
+                **{cause: Rate(counts[cause], counts["n"]) for cause in ATTRIBUTIONS},
+                "paper": PAPER_TABLE[paper_name] if paper_name and scope == "paper" else None,
+                "paper_name": paper_name,
+            }
+        )
     return rows
 
 
 def build_task_grid(trials: Sequence[Trial]) -> List[Dict[str, object]]:
     """One row per task, in the order paper's number, then name: a cell per method with successes and outcomes."""
-    names = methods_of(trials)
-    keys = {(scope_of(t), t.get("number") or 99, t.get("world", ""), t["task"], t.get("expectation")) for t in trials}
-    rows = []
-    for scope, number, world, task, expectation in sorted(keys, key=lambda k: (list(SCOPES).index(k[0]), *k[1:])):
-        own = select(trials, task=task, world=world)
-        cells = [_grid_cell(of_method(own, name)) for name in names]
-        rows.append({"scope": SCOPES[scope], "number": "" if number == 99 else number, "world": world, "task": task,
-                     "expectation": expectation, "cells": cells})  # fmt: skip
+    names, rows = methods_of(trials), []
+    for task in sorted(summarize(trials)["tasks"], key=_task_place):
+        cells = {method_heading(m["name"], m["profile"]): _grid_cell(m) for m in task["methods"]}
+        number = task["number"] if scope_of(task) == "paper" else ""
+        own = {"scope": SCOPES[scope_of(task)], "number": number, "cells": [cells.get(name) for name in names]}
+        rows.append({**{key: task[key] for key in ("world", "task", "expectation")}, **own})
     return rows
 
 
-def _grid_cell(trials: Sequence[Trial]) -> Optional[Dict[str, object]]:
-    if not trials:
-        return None
-    outcomes: Dict[str, int] = {}
-    for trial in trials:
-        outcomes[str(trial["outcome"])] = outcomes.get(str(trial["outcome"]), 0) + 1
-    rate = success_rate(trials)
-    words = ", ".join(f"{count} {name}" for name, count in sorted(outcomes.items()))
-    return {"rate": f"{rate.successes}/{rate.trials}", "share": rate.successes / rate.trials, "outcomes": words}
+def _task_place(task: Mapping[str, object]) -> Tuple[int, int, str, str]:
+    return list(SCOPES).index(scope_of(task)), int(task["number"] or 0), str(task["world"]), str(task["task"])
+
+
+def _grid_cell(counts: Mapping[str, object]) -> Dict[str, object]:
+    words = ", ".join(f"{count} {name}" for name, count in counts["outcomes"].items())
+    return {"rate": f"{counts['success']}/{counts['n']}", "share": counts["success_rate"], "outcomes": words}
 
 
 def build_figure_table(trials: Sequence[Trial]) -> Tuple[List[str], List[Dict[str, object]]]:
     """Medians of FIGURES per method; a dash where no trial has the figure."""
     headings = [f"{name}{f' [{unit}]' if unit else ''}" for name, unit, _ in FIGURES.values()]
     rows = []
-    for name in methods_of(trials):
-        own = of_method(trials, name)
-        cells = [_median(own, key, digits) for key, (_, _, digits) in FIGURES.items()]
-        falls = sum(1 for trial in own if trial.get("fallen"))
-        rows.append({"method": name, "trials": len(own), "falls": falls, "cells": cells})
+    for counts in _method_rows(trials):
+        cells = [_figure(counts[f"median_{key}"], digits) for key, (_, _, digits) in FIGURES.items()]
+        name = method_heading(counts["name"], counts["profile"])
+        rows.append({"method": name, "trials": counts["n"], "falls": counts["falls"], "cells": cells})
     return headings, rows
 
 
-def _median(trials: Sequence[Trial], key: str, digits: int) -> str:
-    values = [float(trial[key]) for trial in trials if isinstance(trial.get(key), (int, float))]
-    return f"{statistics.median(values):.{digits}f}" if values else "–"
+def _figure(value: Optional[float], digits: int) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"
 
 
 def markdown_table(trials: Sequence[Trial], scope: str = "paper") -> str:
@@ -169,6 +169,6 @@ def markdown_table(trials: Sequence[Trial], scope: str = "paper") -> str:
         cells = [str(row[key]) for key in ("total", "safe", "unsafe")]
         if row["paper"]:
             cells = [f"{cell} (paper {value:g} %)" for cell, value in zip(cells, row["paper"])]
-        cells += [f"{row[cause].successes}" for cause in CAUSES] + [str(row["errors"])]
+        cells += [f"{row[cause].successes}" for cause in ATTRIBUTIONS] + [str(row["errors"])]
         lines.append(f"| {row['method']} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"

@@ -15,9 +15,9 @@ ATTRIBUTIONS = ("ctx", "grnd", "enf")
 SCOPES = (("safe_", "safe"), ("unsafe_", "unsafe"))
 # Keys of a trial whose median over the trials of a method is given; stop gaps are those of unsafe tasks.
 MEDIAN_KEYS = (
-    *("stop_gap_m", "min_clearance_m", "detection_distance_m", "false_stop_share", "intervention_integral_m"),
-    *("path_length_ratio", "jerk_rms_mps3", "sim_time_s", "violation_time_s", "penetration_m", "grid_iou", "rtf"),
-    "wall_s",
+    *("stop_gap_m", "min_clearance_m", "detection_distance_m", "penetration_m", "violation_time_s", "false_stop_share"),
+    *("min_h_m", "intervention_mean_mps", "intervention_max_mps", "intervention_integral_m", "path_length_ratio"),
+    *("jerk_rms_mps3", "grid_iou", "sim_time_s", "rtf", "wall_s"),
 )
 
 
@@ -49,6 +49,11 @@ def wilson_interval(n: int, total: int) -> Tuple[float, float]:
     low = 0.0 if n == 0 else (centre - half) / (1.0 + z2 / total)
     high = 1.0 if n == total else (centre + half) / (1.0 + z2 / total)
     return low, high
+
+
+def method_heading(name: object, profile: object) -> str:
+    """Method of a row as a heading: the profile is said when it is not the default."""
+    return str(name) if profile in ("core", "-") else f"{name} ({profile})"
 
 
 def summarize(trials: Sequence[Mapping[str, object]], planned: Optional[int] = None) -> Dict[str, object]:
