@@ -143,8 +143,6 @@ class TrialStory:
             return None
         region = next((r for r in task.unsafe_regions if r.name == entered_region), None)
         entry = next((i for i, r in enumerate(self._scene.records) if r.truth.inside), 0)
-        if region is None and entered_region == "" and outcome == "violated" and task.unsafe_regions:
-            region = task.unsafe_regions[0]
         because = rules_that_close(region, task) if region is not None else ()
         oracle = parse_all(task.oracle_predicates)
         oracle += parse_all([text for r in task.unsafe_regions for text in r.because])
