@@ -69,8 +69,7 @@ def make_reasoner(params: ReasonerParams, config_dir: Path, robot_name: str = ""
         reason = f"auto chose {choice.reasoner}: {choice.reason}"
     reasoner = _make(params, config_dir, ontology, robot_name)
     memory = ConstraintMemory(ontology, params.clear_after_replies) if params.memory else None
-    guarded = params.embedded_rules and (reasoner.reads_image or params.reasoner == "scripted")
-    embedded = _make_ontology_reasoner(params, ontology) if guarded else None
+    embedded = _make_ontology_reasoner(params, ontology) if params.embedded_rules and reasoner.is_guarded else None
     return ReasonerParts(reasoner, ontology, memory, embedded, reason)
 
 

@@ -19,6 +19,7 @@ class ScriptedReasoner(Reasoner):
 
     source = "scripted"
     forgets = True
+    is_guarded = True
 
     def __init__(self, predicates: Iterable[Predicate], latency_s: float):
         """Keep what is to be said.

@@ -42,6 +42,7 @@ class VlmReasoner(Reasoner):
     """Asks a server about one image at a time."""
 
     reads_image = True
+    is_guarded = True
     reads_guidelines = True
     forgets = True
 
