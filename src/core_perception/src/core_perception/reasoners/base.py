@@ -86,7 +86,7 @@ class Reasoner(abc.ABC):
     reads_guidelines: bool = False
     #: True where each answer is about one image alone, so that a constraint memory must hold what came before.
     forgets: bool = False
-    #: True where the embedded rules hold besides what it says, because it may be wrong: a model, or what stands for one.
+    #: True where the embedded rules hold besides what it says: of a model, or what stands for one.
     is_guarded: bool = False
     #: True where reason() may take seconds of wall time: it is then called from a thread of its own.
     is_slow: bool = False
