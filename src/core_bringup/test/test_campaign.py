@@ -175,6 +175,13 @@ def test_a_torn_last_line_is_dropped_and_its_trial_run_again(tmp_path, out):
     assert len(read_trials(out)) == 4 and count_lines(out) == 4
 
 
+def test_removing_the_records_of_a_running_campaign_ends_it(tmp_path, out, capsys):
+    remove = 'os.unlink(os.path.join(arguments["results"], "..", "..", "trials.jsonl")); finish()'
+    status, marks = run(tmp_path, out, "--trials", "2", body=remove)
+    assert status == 1 and len(list(marks.iterdir())) == 1
+    assert "trials.jsonl" in capsys.readouterr().err
+
+
 def test_a_broken_line_in_the_middle_is_refused(tmp_path, out, capsys):
     run(tmp_path, out, "--trials", "1")
     lines = (out / "trials.jsonl").read_text().splitlines()

@@ -394,6 +394,12 @@ def test_region_around_an_object_follows_its_jitter(tmp_path):
         assert np.any(varied.objects[1].position_m != world.objects[1].position_m)
 
 
+def test_a_missing_catalogue_is_told_with_a_model_that_might_be_in_it(tmp_path):
+    data = changed(("objects", 0), {"id": 2, "name": "a", "model": "thing", "position_m": [2, 2, 0]})
+    with pytest.raises(ConfigError, match=f"unknown model 'thing'; allowed: crate; {tmp_path}/models/models.yaml does"):
+        load_world(write(tmp_path, data), worlds_dir=tmp_path)
+
+
 @pytest.mark.parametrize("elsewhere", [True, False])
 def test_every_world_sees_the_catalogue_and_its_own_models_win(tmp_path, elsewhere):
     folder = tmp_path / "worlds"

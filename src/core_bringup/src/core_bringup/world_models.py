@@ -28,6 +28,7 @@ class ModelShelf:
         """Read and check the catalogue; the world file has been checked."""
         self._world, self._own = world, world.data.get("models", {})
         self._catalogue: Optional[YamlSource] = None
+        self._catalogue_path = catalogue_path
         if catalogue_path.is_file():
             self._catalogue = YamlSource(catalogue_path)
             check_catalogue(self._catalogue)
@@ -64,7 +65,9 @@ class ModelShelf:
         if name is None:
             return {}
         if name not in self._own and name not in shared:
-            allowed = ", ".join(sorted({*self._own, *shared})) or "no model is declared"
+            allowed = ", ".join(sorted({*self._own, *shared})) or "no model is declared here"
+            if self._catalogue is None:
+                allowed += f"; {self._catalogue_path} does not exist"
             raise self._world.error(path + ("model",), f"unknown model {name!r}", allowed)
         return self._own[name] if name in self._own else shared[name]
 

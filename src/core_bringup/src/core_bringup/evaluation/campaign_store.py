@@ -11,6 +11,7 @@ DIR/summary.json    counts and rates, DIR/trials.csv the same trials as a table:
 from __future__ import annotations
 
 import csv
+import errno
 import fcntl
 import json
 import os
@@ -182,8 +183,11 @@ class CampaignStore:
 
         Raises:
             ValueError: the record holds NaN or infinity.
+            OSError: the disk is full, or somebody has removed trials.jsonl.
         """
         line = json.dumps(record, allow_nan=False) + "\n"
+        if os.fstat(self._stream).st_nlink == 0:
+            raise FileNotFoundError(errno.ENOENT, "removed while the campaign ran", str(self.folder / TRIALS_NAME))
         place = self.folder / str(record["folder"])
         shutil.rmtree(str(place), ignore_errors=True)
         place.parent.mkdir(parents=True, exist_ok=True)
