@@ -22,6 +22,7 @@ from core_bringup.evaluation.monitor_params import MonitorParams
 from core_bringup.evaluation.session import TrialSession
 from core_bringup.exceptions import BringupError
 from core_bringup.ros import trial_conversions as convert
+from core_bringup.ros.connections import find_unserved
 from core_bringup.ros.trial_bag import TrialBag
 from core_perception.ros.conversions import color_to_rgb, constraints_from_msg, depth_to_m
 
@@ -89,7 +90,7 @@ class TrialMonitorNode:
         )
 
     def _unpause_when_connected(self) -> None:
-        if not self._waits_to_unpause or self._unconnected():
+        if not self._waits_to_unpause or self._unconnected() or find_unserved([s.name for s in self._subscribers]):
             return
         self._waits_to_unpause = False
         try:
