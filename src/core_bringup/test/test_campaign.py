@@ -324,7 +324,7 @@ def test_a_refused_parameter_is_an_error_with_its_line(tmp_path, out):
 
 def test_retry_errors_replaces_them_and_keeps_the_rest(tmp_path, out):
     body = "time.sleep(300 if key.startswith('cone_line/none') and not starts else 0); finish()"
-    assert run(tmp_path, out, "--trials", "1", "--trial-timeout-s", "2", body=body)[0] == 1
+    assert run(tmp_path, out, "--trials", "1", "--trial-timeout-s", "10", body=body)[0] == 1
     assert run(tmp_path, out, "--trials", "1", "--resume", body=body)[0] == 1  # an error is a record, too
     status, marks = run(tmp_path, out, "--trials", "1", "--resume", "--retry-errors", body=body)
     assert status == 0 and len(list(marks.iterdir())) == 5
