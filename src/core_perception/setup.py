@@ -6,6 +6,7 @@ setup(
     **generate_distutils_setup(
         packages=[
             "core_perception",
+            "core_perception.checks",
             "core_perception.reasoners",
             "core_perception.ros",
             "core_perception.segmenters",

@@ -87,10 +87,11 @@ def test_camera_info_back_projects_a_pixel():
 def test_labels_survive():
     header = to.header_to_msg(3, "camera")
     message = through_the_wire(
-        to.label_info_to_msg({30: "traffic_cone", 1: "floor"}, ("floor", "traffic_cone", "wall"), header)
+        to.label_info_to_msg({30: ("traffic_cone", "pylon"), 1: ("floor",)}, ("floor", "traffic_cone", "wall"), header)
     )
-    assert to.label_info_from_msg(message) == ({1: "floor", 30: "traffic_cone"}, ("floor", "traffic_cone", "wall"))
-    assert [label.id for label in message.labels] == [1, 30]
+    names = {1: ("floor",), 30: ("traffic_cone", "pylon")}
+    assert to.label_info_from_msg(message) == (names, ("floor", "traffic_cone", "wall"))
+    assert [label.id for label in message.labels] == [1, 30, 30]
 
 
 @pytest.mark.parametrize("clearance_m", [1.25, -0.5, math.inf])

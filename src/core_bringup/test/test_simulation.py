@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A task put together: moving objects are the same for state, truth and whoever replays the ticks."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from simple_world import ROBOT_FILE
@@ -32,7 +34,7 @@ tasks:
     waypoints_m: [[6, 0]]
     goal_m: [6, 0]
     time_limit_s: 40
-    objects: [{id: 9, name: box, class: crate, shape: box, size_m: [1, 1, 1], position_m: [-4, 0, 0]}]
+    objects: [{id: 9, name: box, class: crate, aliases: [tote], shape: box, size_m: [1, 1, 1], position_m: [-4, 0, 0]}]
     unsafe_regions:
       - {name: near, reason: person, because: [AROUND(person)=unsafe], around: {object: walker, radius_m: 1.0}}
 """
@@ -116,6 +118,11 @@ def test_task_and_world_are_those_of_the_variation(open_simulation):
     assert set(names) == {"walker", "box"}
     assert simulation.task.unsafe_regions[0].item is names["walker"]
     assert simulation.class_names == ("crate", "floor", "person", "sidewalk_ramp")
+
+
+def test_names_of_what_a_frame_shows_are_its_class_and_then_its_aliases(open_simulation):
+    frame = SimpleNamespace(labels=np.array([[0, 9], [3, 77]], np.uint16))
+    assert open_simulation().names_in(frame) == {3: ("person",), 9: ("crate", "tote")}
 
 
 def test_kinematic_robot_follows_the_surface(open_simulation):

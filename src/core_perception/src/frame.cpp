@@ -43,7 +43,8 @@ void checkClasses(const Frame& frame) {
     const auto& known = *names.emplace(listed.id, listed.class_name).first;
     if (known.second == listed.class_name) continue;
     throw FrameError("labels_invalid", "label " + std::to_string(listed.id) + " is listed as " +
-                                           known.second + " and as " + listed.class_name);
+                                           toPrintable(known.second) + " and as " +
+                                           toPrintable(listed.class_name));
   }
 }
 
@@ -56,17 +57,18 @@ void checkPose(const Frame& frame) {
   const bool valid = frame.T_map_camera.matrix().allFinite() && farthest_m <= kFarthest_m &&
                      std::abs(frame.p_map_base.x) <= kFarthest_m &&
                      std::abs(frame.p_map_base.y) <= kFarthest_m &&
-                     (R * R.transpose()).isIdentity(1e-3);
+                     (R * R.transpose()).isIdentity(1e-3) && R.determinant() > 0.0;
   if (!valid) {
     throw FrameError("pose_invalid", "poses must be finite, rigid and within 5 km of the origin");
   }
 }
 
+/// Divides, so that a depth of 7000 mm is 7 m and no more.
 template <typename T>
-void convertRow(const T* in, float scale, int n, float* out) {
+void convertRow(const T* in, float units_per_m, int n, float* out) {
   constexpr float kLargest = std::numeric_limits<float>::max();
   for (int i = 0; i < n; ++i) {
-    const float z = static_cast<float>(in[i]) * scale;
+    const float z = static_cast<float>(in[i]) / units_per_m;
     out[i] = (z > 0.0f && z <= kLargest) ? z : 0.0f;  // false for NaN
   }
 }
@@ -116,10 +118,14 @@ void checkFrame(const Frame& frame) {
 }
 
 void convertToMetres(const cv::Mat& depth, cv::Mat* metres) {
-  metres->create(depth.rows, depth.cols, CV_32FC1);
+  if (metres->size() != depth.size()) {
+    constexpr int m = kDepthMargin_px;
+    const cv::Mat whole = cv::Mat::zeros(depth.rows + 2 * m, depth.cols + 2 * m, CV_32FC1);
+    *metres = whole(cv::Rect(m, m, depth.cols, depth.rows));
+  }
   for (int v = 0; v < depth.rows; ++v) {
     if (depth.type() == CV_16UC1) {
-      convertRow(depth.ptr<uint16_t>(v), 0.001f, depth.cols, metres->ptr<float>(v));
+      convertRow(depth.ptr<uint16_t>(v), 1000.0f, depth.cols, metres->ptr<float>(v));
     } else {
       convertRow(depth.ptr<float>(v), 1.0f, depth.cols, metres->ptr<float>(v));
     }

@@ -150,6 +150,13 @@ double computeDistance(const Polygon& a, const Polygon& b) {
   return corners > 0.0 && borderReached(a, b) ? 0.0 : corners;
 }
 
+bool areWithin(const Polygon& a, const Polygon& b, double max_m) {
+  const Box2 p = computeBounds(a), q = computeBounds(b);
+  const double gap_x = std::max(p.min_x - q.max_x, q.min_x - p.max_x);
+  const double gap_y = std::max(p.min_y - q.max_y, q.min_y - p.max_y);
+  return std::max(gap_x, gap_y) <= max_m && computeDistance(a, b) <= max_m;
+}
+
 Polygon makeSquare(const Point2& centre, double edge_m) {
   const double half = 0.5 * edge_m;
   return {{centre.x - half, centre.y - half},

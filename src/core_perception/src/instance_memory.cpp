@@ -72,10 +72,9 @@ std::vector<size_t> InstanceMemory::match(const std::vector<Detection>& detectio
   for (size_t i = 0; i < detections.size(); ++i) {
     for (size_t j = 0; j < instances_.size(); ++j) {
       if (detections[i].class_name != instances_[j].class_name) continue;
-      const double gap = computeDistance(detections[i].footprint, instances_[j].footprint);
-      if (gap > params_.match_distance_m) continue;
-      candidates.emplace_back(
-          gap, distanceOfCentres(detections[i].footprint, instances_[j].footprint), i, j);
+      const Polygon &seen = detections[i].footprint, &held = instances_[j].footprint;
+      if (areWithin(seen, held, params_.match_distance_m))
+        candidates.emplace_back(computeDistance(seen, held), distanceOfCentres(seen, held), i, j);
     }
   }
   std::sort(candidates.begin(), candidates.end());
@@ -94,7 +93,7 @@ void InstanceMemory::placeUnmatched(double stamp_s, const Detection& detection) 
   for (HeldInstance& held : instances_) {
     const bool piece = held.class_name == detection.class_name &&
                        held.isExtended(params_.max_footprint_m) &&
-                       computeDistance(held.footprint, detection.footprint) <= kTouching_m;
+                       areWithin(held.footprint, detection.footprint, kTouching_m);
     if (piece) {  // one more piece of a rack or a wall
       mergeInto(create(stamp_s, detection), &held);
       return;
@@ -147,8 +146,7 @@ void InstanceMemory::mergeOverlapping() {
       const HeldInstance& b = instances_[j];
       // Two that one frame told apart are two, even where their hulls touch.
       const bool told_apart = a.in_view && b.in_view;
-      if (told_apart || a.class_name != b.class_name ||
-          computeDistance(a.footprint, b.footprint) > 0.0) {
+      if (told_apart || a.class_name != b.class_name || !areWithin(a.footprint, b.footprint, 0.0)) {
         ++j;
         continue;
       }
@@ -182,6 +180,24 @@ void InstanceMemory::hideClasses(const std::function<bool(const std::string&)>& 
     (is_surface(held.class_name) ? hidden_ : instances_).push_back(std::move(held));
 }
 
+int InstanceMemory::clearBox(const Eigen::Vector3d& min_m, const Eigen::Vector3d& max_m) {
+  const Polygon box{{min_m.x(), min_m.y()},
+                    {max_m.x(), min_m.y()},
+                    {max_m.x(), max_m.y()},
+                    {min_m.x(), max_m.y()}};
+  const auto is_inside = [&](const HeldInstance& held) {
+    const bool level = held.z_min_m <= max_m.z() && held.z_max_m >= min_m.z();
+    return level && areWithin(held.footprint, box, 0.0);
+  };
+  int n = 0;
+  for (std::vector<HeldInstance>* all : {&instances_, &hidden_}) {
+    const auto kept = std::remove_if(all->begin(), all->end(), is_inside);
+    n += static_cast<int>(all->end() - kept);
+    all->erase(kept, all->end());
+  }
+  return n;
+}
+
 void InstanceMemory::clear() {
   instances_.clear();
   hidden_.clear();
@@ -200,7 +216,7 @@ void labelClusters(double max_gap_m, std::vector<HeldInstance>* instances) {
       if (!all[i].confirmed || !all[j].confirmed || all[i].class_name != all[j].class_name)
         continue;
       if (all[i].cluster == all[j].cluster ||
-          computeDistance(all[i].footprint, all[j].footprint) > max_gap_m)
+          !areWithin(all[i].footprint, all[j].footprint, max_gap_m))
         continue;
       replace(std::max(all[i].cluster, all[j].cluster), std::min(all[i].cluster, all[j].cluster));
     }

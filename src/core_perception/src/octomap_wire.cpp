@@ -3,49 +3,74 @@
 
 #include <cstring>
 #include <sstream>
+#include <stdexcept>
 
 namespace core_perception {
 namespace {
 
 using Bytes = std::vector<int8_t>;
 
-void append(const void* data, size_t size, Bytes* bytes) {
-  const auto* begin = static_cast<const int8_t*>(data);
-  bytes->insert(bytes->end(), begin, begin + size);
+constexpr size_t kFlatSize = TreeSnapshot::kNodeSize;
+
+Bytes makeFull(const Bytes& nodes) {
+  Bytes bytes(nodes.size() / kFlatSize * 5);
+  int8_t* out = bytes.data();
+  for (const int8_t* in = nodes.data(); in != nodes.data() + nodes.size(); in += kFlatSize) {
+    std::memcpy(out, in, 4);
+    out[4] = in[12];
+    out += 5;
+  }
+  return bytes;
 }
 
-void appendValue(const SemanticOcTreeNode& node, Bytes* bytes) {
-  const float value = node.getValue();
-  append(&value, sizeof(value), bytes);
-}
-
-void appendColor(const SemanticOcTreeNode& node, Bytes* bytes) {
+Bytes makeColor(const Bytes& nodes) {
   constexpr float kOccupied = 1.0f;
   constexpr uint8_t kUnsafe[] = {220, 50, 40};
   constexpr uint8_t kSafe[] = {60, 180, 75};
-  append(&kOccupied, sizeof(kOccupied), bytes);
-  append(node.getValue() >= 0.0f ? kUnsafe : kSafe, 3, bytes);
+  Bytes bytes(nodes.size() / kFlatSize * 8);
+  int8_t* out = bytes.data();
+  for (const int8_t* in = nodes.data(); in != nodes.data() + nodes.size(); in += kFlatSize) {
+    std::memcpy(out, &kOccupied, 4);
+    std::memcpy(out + 4, FlatNode::load(in).value >= 0.0f ? kUnsafe : kSafe, 3);
+    out[7] = in[12];
+    out += 8;
+  }
+  return bytes;
 }
 
-/// OctoMap's pre-order: payload, then one bit for each child that follows.
-template <typename AppendPayload>
-void appendNode(const SemanticOcTree& tree, const SemanticOcTreeNode* node,
-                AppendPayload appendPayload, Bytes* bytes) {
-  appendPayload(*node, bytes);
-  uint8_t children = 0;
+/// OctoMap's two bits a child: 1 free, 2 occupied, 3 has children of its own.
+void appendBinary(const int8_t** in, Bytes* bytes) {
+  const size_t at = bytes->size();
+  bytes->resize(at + 2);
+  const uint8_t children = FlatNode::load(*in).children;
+  *in += kFlatSize;
+  unsigned bits = 0;
   for (unsigned i = 0; i < 8; ++i) {
-    if (tree.nodeChildExists(node, i)) children = static_cast<uint8_t>(children | (1u << i));
+    if ((children & (1u << i)) == 0) continue;
+    const FlatNode child = FlatNode::load(*in);
+    if (child.children != 0) {
+      bits |= 3u << (2 * i);
+      appendBinary(in, bytes);
+    } else {
+      bits |= (child.value >= 0.0f ? 2u : 1u) << (2 * i);
+      *in += kFlatSize;
+    }
   }
-  append(&children, 1, bytes);
-  for (unsigned i = 0; i < 8; ++i) {
-    if ((children & (1u << i)) != 0)
-      appendNode(tree, tree.getNodeChild(node, i), appendPayload, bytes);
-  }
+  (*bytes)[at] = static_cast<int8_t>(bits & 0xff);
+  (*bytes)[at + 1] = static_cast<int8_t>(bits >> 8);
 }
 
-Bytes toBytes(const std::ostringstream& stream) {
-  const std::string text = stream.str();
-  return Bytes(text.begin(), text.end());
+size_t countNodes(const TreeSnapshot& snapshot) { return snapshot.nodes.size() / kFlatSize; }
+
+/// Text that reads back as the same number: OctoMap's six digits where they do.
+std::string formatExactly(double value) {
+  for (const int digits : {6, 17}) {
+    std::ostringstream text;
+    text.precision(digits);
+    text << value;
+    if (digits == 17 || std::stod(text.str()) == value) return text.str();
+  }
+  return "";
 }
 
 }  // namespace
@@ -61,26 +86,39 @@ std::string idOf(WireFormat format) {
   }
 }
 
-std::vector<int8_t> serialise(WireFormat format, SemanticOcTree* tree) {
-  Bytes bytes;
-  if (tree->getRoot() == nullptr) return bytes;
-  tree->updateInnerOccupancy();
-  std::ostringstream stream;
+std::vector<int8_t> serialise(WireFormat format, const TreeSnapshot& snapshot) {
+  if (snapshot.nodes.empty()) return {};
   switch (format) {
     case WireFormat::kFull:
-      appendNode(*tree, tree->getRoot(), appendValue, &bytes);
-      return bytes;
+      return makeFull(snapshot.nodes);
     case WireFormat::kColor:
-      appendNode(*tree, tree->getRoot(), appendColor, &bytes);
+      return makeColor(snapshot.nodes);
+    case WireFormat::kBinary: {
+      Bytes bytes;
+      const int8_t* in = snapshot.nodes.data();
+      appendBinary(&in, &bytes);
       return bytes;
-    case WireFormat::kBinary:
-      tree->writeBinaryData(stream);
-      return toBytes(stream);
+    }
     case WireFormat::kSemantic:
-      tree->writeData(stream);
-      return toBytes(stream);
+      break;
   }
-  return bytes;
+  return snapshot.nodes;
+}
+
+std::vector<int8_t> serialise(WireFormat format, const SemanticOcTree& tree) {
+  return serialise(format, takeSnapshot(tree));
+}
+
+std::string formatFile(WireFormat format, const TreeSnapshot& snapshot) {
+  const bool binary = format == WireFormat::kBinary;
+  if (!binary && format != WireFormat::kSemantic) throw std::invalid_argument("no file format");
+  std::ostringstream file;
+  file << (binary ? "# Octomap OcTree binary file" : "# Octomap OcTree file") << "\nid "
+       << idOf(format) << "\nsize " << countNodes(snapshot) << "\nres "
+       << formatExactly(snapshot.resolution_m) << "\ndata\n";
+  const Bytes bytes = serialise(format, snapshot);
+  file.write(reinterpret_cast<const char*>(bytes.data()), static_cast<long>(bytes.size()));
+  return file.str();
 }
 
 }  // namespace core_perception

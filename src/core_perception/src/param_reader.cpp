@@ -126,6 +126,13 @@ void ParamReader::read(const std::string& key, std::string* field,
   *field = value->text;
 }
 
+void ParamReader::readText(const std::string& key, std::string* field) {
+  const ParamValue* value = find(key);
+  if (value == nullptr) return;
+  if (value->kind != Kind::kString) throw ParameterError(key, value->toText(), "a text");
+  *field = value->text;
+}
+
 void ParamReader::read(const std::string& key, std::vector<std::string>* field) {
   const ParamValue* value = find(key);
   if (value == nullptr) return;

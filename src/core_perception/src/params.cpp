@@ -63,6 +63,21 @@ void readInstance(ParamReader* reader, InstanceParams* p) {
   reader->read("class_radius_m", &p->class_radius_m, {0.0, 10.0});
 }
 
+void checkNode(const NodeParams& p) {
+  if (p.rectify && p.ignore_distortion) {
+    // Rectified images would be rectified once more.
+    throw ParameterError("rectify", "true", "false with ignore_distortion true");
+  }
+  const std::string kOdom = "odom";
+  const std::string& frame = p.map_frame;
+  const bool is_odom = frame.size() >= kOdom.size() &&
+                       frame.compare(frame.size() - kOdom.size(), kOdom.size(), kOdom) == 0;
+  if (!p.map_file.empty() && is_odom) {
+    throw ParameterError("map_file", p.map_file,
+                         "empty with map_frame " + frame + ", whose origin is new at every start");
+  }
+}
+
 }  // namespace
 
 SemanticMapParams SemanticMapParams::fromReader(ParamReader* reader) {
@@ -110,6 +125,11 @@ NodeParams NodeParams::fromMap(const ParamMap& values) {
   reader.read("queue_size", &p.queue_size, {1, 1000});
   reader.read("octomap_period_s", &p.octomap_period_s, {0.05, 3600.0});
   reader.read("ignore_distortion", &p.ignore_distortion);
+  reader.read("rectify", &p.rectify);
+  reader.read("grid_period_s", &p.grid_period_s, {0.0, 3600.0});
+  reader.readText("map_dir", &p.map_dir);
+  reader.readText("map_file", &p.map_file);
+  checkNode(p);
   p.map = SemanticMapParams::fromReader(&reader);
   reader.finish();
   return p;

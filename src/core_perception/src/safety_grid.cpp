@@ -25,10 +25,14 @@ const SafetyGrid& GridComposer::compose(const VoteMap& votes, const CauseTable& 
 }
 
 void GridComposer::moveWindow(const Point2& robot) {
-  grid_.frame.origin.x =
-      static_cast<int>(std::floor(robot.x / params_.resolution_m)) - grid_.frame.width / 2;
-  grid_.frame.origin.y =
-      static_cast<int>(std::floor(robot.y / params_.resolution_m)) - grid_.frame.height / 2;
+  // In steps: between them the distances need not be computed again where no cell changed sides.
+  constexpr int kStep = 5;
+  const auto snap = [this](double robot_m, int size) {
+    const double step_m = kStep * params_.resolution_m;
+    return static_cast<int>(std::lround(robot_m / step_m)) * kStep - size / 2;
+  };
+  grid_.frame.origin.x = snap(robot.x, grid_.frame.width);
+  grid_.frame.origin.y = snap(robot.y, grid_.frame.height);
   const size_t n = static_cast<size_t>(grid_.frame.width) * grid_.frame.height;
   grid_.n_safe.assign(n, 0);
   grid_.n_unsafe.assign(n, 0);

@@ -10,12 +10,27 @@
 namespace core_perception {
 namespace {
 
-/// OctoMap's keys count 2^15 voxels to each side of the origin; a vote beyond would be lost.
-void checkReach(const Projection& projection, double resolution_m) {
+/// OctoMap's keys count 2^15 voxels to each side of the origin; a vote beyond would be lost. Memory
+/// is bounded too.
+void checkReach(const Projection& projection, double resolution_m, int n_layers) {
+  // The scratch volume of a frame takes 16 bytes a voxel.
+  constexpr double kMostVoxels = 64e6;
+  const double width = 2.0 * projection.reach_m() / resolution_m + 3.0;
+  if (width * width * n_layers > kMostVoxels)
+    throw FrameError("camera_invalid",
+                     "the camera reaches over more than 64 million voxels; allowed: a smaller "
+                     "range_max_m or span of the tree, or larger voxels");
   const double farthest_m =
       projection.p_map_camera().cwiseAbs().maxCoeff() + projection.reach_m() + resolution_m;
   if (farthest_m <= 32768.0 * resolution_m) return;
   throw FrameError("pose_invalid", "the camera sees farther from the origin than the map reaches");
+}
+
+/// End of the run of pixels from u on that carry the label of u.
+int findRunEnd(const uint16_t* labels, int u, int end) {
+  const uint16_t label = labels[u];
+  while (u < end && labels[u] == label) ++u;
+  return u;
 }
 
 }  // namespace
@@ -29,35 +44,35 @@ SemanticMap::SemanticMap(const SemanticMapParams& params)
       detector_(params.resolution_m, params.instance.min_points),
       memory_(params.instance),
       composer_(params),
-      floor_layer_(frame_votes_.layerOf(params.range.floor_z_m)) {}
+      regions_(params.kernel_px) {}
 
 const SafetyGrid& SemanticMap::update(const Frame& frame, const Constraints& constraints) {
   checkFrame(frame);
   const Projection projection(frame, params_.range);
-  checkReach(projection, params_.resolution_m);
+  checkReach(projection, params_.resolution_m, frame_votes_.layers());
   const bool vote = constraints.isActive() || !params_.semantics;
-  if (history_start_s_ == 0.0) {
-    disc_ = InitialDisc{frame.p_map_base, params_.initial_disc_radius_m};
-    history_start_s_ = frame.stamp_s;
-  }
+  if (history_start_s_ == 0.0) history_start_s_ = frame.stamp_s;
+  if (!has_disc_) disc_ = InitialDisc{frame.p_map_base, params_.initial_disc_radius_m};
+  has_disc_ = true;
   predicates_ = findInForce(constraints);
 
   convertToMetres(frame.depth, &metres_);
   meanings_.build(frame.classes, predicates_, &causes_);
-  ImageSets sets;
+  mark(Stage::kPrepare);
   if (vote && params_.usesImageOperators()) {
-    sets = computeImageSets(frame.labels, frame.classes, predicates_, params_.kernel_px);
+    regions_.compute(frame.labels, frame.classes, predicates_);
     rule_causes_.clear();
     for (const Predicate& p : predicates_)
       rule_causes_.push_back(causes_.intern(formatRule(p), p.class_name));
   }
-  collect(frame, projection, sets, vote);
-  if (vote) {
-    votes_.add(frame_votes_);
-    if (params_.vote.free_space_clearing) {
-      clearSeenThrough(metres_, projection, frame_votes_, findReach(projection), &votes_);
-    }
-  }
+  mark(Stage::kOperators);
+  collect(frame, projection, vote);
+  mark(Stage::kPoints);
+  if (vote) votes_.add(frame_votes_);
+  mark(Stage::kVoxels);
+  if (vote && params_.vote.free_space_clearing)
+    clearSeenThrough(metres_, projection, frame_votes_, findReach(projection), &votes_);
+  mark(Stage::kClearing);
   memory_.hideClasses(
       [this](const std::string& name) { return meanings_.isSurface(name, predicates_); });
   std::vector<std::string> class_names;
@@ -65,12 +80,16 @@ const SafetyGrid& SemanticMap::update(const Frame& frame, const Constraints& con
   const PlaceProbe probe(frame, metres_, projection, params_.range);
   memory_.update(frame.stamp_s, detector_.finish(class_names),
                  [&probe](const HeldInstance& held) { return probe.look(held); });
+  mark(Stage::kInstances);
   std::vector<Region> regions;
   if (!params_.usesImageOperators()) {
     regions =
         buildRegions(memory_.instances(), predicates_, params_.instance, params_.resolution_m);
   }
-  return composer_.compose(votes_, causes_, disc_, regions, frame.p_map_base);
+  mark(Stage::kRegions);
+  composer_.compose(votes_, causes_, disc_, regions, frame.p_map_base);
+  mark(Stage::kGrid);
+  return composer_.grid();
 }
 
 std::vector<Predicate> SemanticMap::findInForce(const Constraints& constraints) const {
@@ -82,52 +101,83 @@ std::vector<Predicate> SemanticMap::findInForce(const Constraints& constraints) 
   return predicates;
 }
 
-void SemanticMap::collect(const Frame& frame, const Projection& projection, const ImageSets& sets,
-                          bool vote) {
-  camera_height_m_ = projection.camera_height_m();
-  p_map_camera_ = projection.p_map_camera();
-  frame_votes_.start(p_map_camera_, projection.reach_m());
-  detector_.start();
-  projection.forEachPoint(metres_, [&](const PixelPoint& point) {
-    const LabelMeaning& meaning = meanings_[frame.labels.ptr<uint16_t>(point.v)[point.u]];
-    const float height_m = camera_height_m_ + point.dz_m;
-    if (meaning.instance_slot >= 0)
-      collectInstancePoint(point, height_m, meaning.instance_slot, projection);
-    if (vote) votePoint(point, height_m, projection.metricHeight(point.depth_m), meaning, sets);
-  });
-}
-
-void SemanticMap::collectInstancePoint(const PixelPoint& point, float height_m, int16_t slot,
-                                       const Projection& projection) {
-  if (height_m < params_.range.band_min_z_m || height_m > params_.range.band_max_z_m) return;
-  // Labels bleed farther than depths mix.
-  if (projection.isBehindEdge(metres_, point.u, point.v, 2)) return;
-  detector_.add(slot, p_map_camera_ + Eigen::Vector3d(point.dx_m, point.dy_m, point.dz_m),
-                height_m >= projection.metricHeight(point.depth_m));
-}
-
-void SemanticMap::votePoint(const PixelPoint& point, float height_m, float metric_height_m,
-                            const LabelMeaning& meaning, const ImageSets& sets) {
-  const bool metric_layer = params_.vote.metric_layer;
-  // In profile core all floor-level points vote in the layer of the floor: noise must not spread
-  // them over two layers.
-  const bool floor_level =
-      metric_layer && height_m >= params_.range.band_min_z_m && height_m < metric_height_m;
-  VoxelTally* tally = floor_level ? frame_votes_.touchLayer(point.dx_m, point.dy_m, floor_layer_)
-                                  : frame_votes_.touch(point.dx_m, point.dy_m, point.dz_m);
-  if (tally == nullptr) return;
-  if (metric_layer && height_m >= metric_height_m && height_m <= params_.range.band_max_z_m) {
-    if (tally->n_metric < std::numeric_limits<uint16_t>::max()) ++tally->n_metric;
-    tally->metric_cause = meaning.metric_cause;
-    return;
+void SemanticMap::collect(const Frame& frame, const Projection& projection, bool vote) {
+  frame_votes_.start(projection.p_map_camera(), projection.reach_m());
+  detector_.start(projection.p_map_camera(), projection.reach_m());
+  for (int v = 0; v < metres_.rows; ++v) {
+    projection.projectRow(metres_, v, &row_);
+    collectInstances(frame, projection, v);
+    if (vote) voteRow(frame, projection, v);
   }
-  const bool by_image = !sets.safe.empty();
-  const bool safe = !params_.semantics ||
-                    (by_image ? sets.safe.ptr<uint8_t>(point.v)[point.u] != 0 : meaning.safe);
-  ++(safe ? tally->n_safe : tally->n_unsafe);
-  if (safe) return;
-  const int rule = by_image ? sets.rule.ptr<uint8_t>(point.v)[point.u] : 0;
-  tally->cause = rule > 0 ? rule_causes_[rule - 1] : meaning.cause;
+}
+
+void SemanticMap::collectInstances(const Frame& frame, const Projection& projection, int v) {
+  const uint16_t* labels = frame.labels.ptr<uint16_t>(v);
+  const float* depths = metres_.ptr<float>(v);
+  const auto stride = static_cast<std::ptrdiff_t>(metres_.step1());
+  const float camera_height_m = projection.camera_height_m();
+  const auto min_m = static_cast<float>(params_.range.band_min_z_m) - camera_height_m;
+  const auto max_m = static_cast<float>(params_.range.band_max_z_m) - camera_height_m;
+  const int first = row_.first, end = row_.end;
+  const float *depth = row_.depth_m.data(), *dz = row_.dz_m.data();
+  is_object_.resize(metres_.cols);
+  int32_t* is_object = is_object_.data();
+  for (int u = first; u < end; ++u) {
+    // Labels bleed farther than depths mix.
+    is_object[u] = (depth[u] > 0.0f) & (dz[u] >= min_m) & (dz[u] <= max_m) &
+                   !projection.isBehindEdge(depths + u, stride, 2);
+  }
+  for (int u = first; u < end; ++u) {
+    const int16_t slot = meanings_[labels[u]].instance_slot;
+    if (slot < 0) {
+      u = findRunEnd(labels, u, end) - 1;
+    } else if (is_object[u] != 0) {
+      detector_.add(slot, {row_.dx_m[u], row_.dy_m[u], dz[u]},
+                    camera_height_m + dz[u] >= projection.metricHeight(depth[u]));
+    }
+  }
+}
+
+void SemanticMap::voteRow(const Frame& frame, const Projection& projection, int v) {
+  const bool metric_layer = params_.vote.metric_layer;
+  FloorBand floor;
+  floor.camera_height_m = projection.camera_height_m();
+  floor.metric_min_height_m = projection.metricHeight(0.0f);
+  floor.metric_slope = static_cast<float>(params_.range.metric_slope);
+  floor.layer = frame_votes_.layerOf(params_.range.floor_z_m);
+  if (metric_layer) floor.min_height_m = static_cast<float>(params_.range.band_min_z_m);
+  frame_votes_.locate(row_, floor, &voxels_);
+  const bool by_image = params_.usesImageOperators(), all_safe = !params_.semantics;
+  const uint16_t* labels = frame.labels.ptr<uint16_t>(v);
+  const uint8_t* regions = by_image ? regions_.image().ptr<uint8_t>(v) : nullptr;
+  const auto max_m = static_cast<float>(params_.range.band_max_z_m);
+  for (int u = row_.first; u < row_.end; ++u) {
+    if (voxels_[u] == FrameVotes::kUndecided)
+      voxels_[u] = locateExactly(frame, projection, floor, u, v);
+    if (voxels_[u] == FrameVotes::kNoVoxel) continue;
+    VoxelTally& tally = frame_votes_.touch(voxels_[u]);
+    const LabelMeaning& meaning = meanings_[labels[u]];
+    const float height_m = floor.camera_height_m + row_.dz_m[u];
+    if (metric_layer && height_m >= projection.metricHeight(row_.depth_m[u]) && height_m <= max_m) {
+      if (tally.n_metric < std::numeric_limits<uint16_t>::max()) ++tally.n_metric;
+      tally.metric_cause = meaning.metric_cause;
+    } else if (all_safe || (by_image ? regions[u] == kSafeRegion : meaning.safe)) {
+      ++tally.n_safe;
+    } else {
+      ++tally.n_unsafe;
+      const int rule = by_image ? regions[u] : kNoRegion;
+      const bool has_rule = rule > kNoRegion && rule <= kMostRules;
+      tally.cause = has_rule ? rule_causes_[rule - 1] : meaning.cause;
+    }
+  }
+}
+
+int32_t SemanticMap::locateExactly(const Frame& frame, const Projection& projection,
+                                   const FloorBand& floor, int u, int v) const {
+  const bool in_mm = frame.depth.type() == CV_16UC1;
+  const double depth_m =
+      in_mm ? frame.depth.ptr<uint16_t>(v)[u] / 1000.0 : frame.depth.ptr<float>(v)[u];
+  return frame_votes_.locatePoint(projection.computePoint(u, v, depth_m), depth_m, floor);
 }
 
 ColumnRange SemanticMap::findReach(const Projection& projection) const {
@@ -140,7 +190,25 @@ ColumnRange SemanticMap::findReach(const Projection& projection) const {
           toIndex(p.y() + reach_m)};
 }
 
+bool SemanticMap::clearBox(const Eigen::Vector3d& min_m, const Eigen::Vector3d& max_m) {
+  // Beyond the reach of the tree; an infinite box would make no polygon.
+  static constexpr double kFarthest_m = 1e5;
+  const auto clamp = [](const Eigen::Vector3d& p) -> Eigen::Vector3d {
+    return p.cwiseMax(-kFarthest_m).cwiseMin(kFarthest_m);
+  };
+  const int n_voxels = votes_.clearBox(clamp(min_m), clamp(max_m));
+  const int n_objects = memory_.clearBox(clamp(min_m), clamp(max_m));
+  if (n_voxels + n_objects == 0) return false;
+  history_start_s_ = 0.0;
+  return true;
+}
+
+void SemanticMap::load(const SemanticOcTree& saved) {
+  votes_.load(saved, params_.usesImageOperators(), causes_.intern(kSavedRule, ""));
+}
+
 void SemanticMap::clear() {
+  has_disc_ = false;
   votes_.clear();
   memory_.clear();
   causes_.clear();

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <istream>
 #include <ostream>
+#include <utility>
 
 namespace core_perception {
 
@@ -76,12 +77,12 @@ SemanticOcTreeNode* SemanticOcTree::touch(const octomap::OcTreeKey& key) {
       } else {
         createNodeChild(node, child);
       }
-      if (pruned_leaf) node->setCounts(0, 0);
     }
     path_[depth + 1] = getNodeChild(node, child);
   }
   last_key_ = key;
   path_valid_ = true;
+  noteChange(key);
   return path_[kDepth];
 }
 
@@ -100,12 +101,88 @@ void SemanticOcTree::erase(const octomap::OcTreeKey& key) {
 
 void SemanticOcTree::clear() {
   path_valid_ = false;
+  noteChangeEverywhere();
   octomap::OccupancyOcTreeBase<SemanticOcTreeNode>::clear();
 }
 
 void SemanticOcTree::prune() {
   path_valid_ = false;
+  noteChangeEverywhere();
   octomap::OccupancyOcTreeBase<SemanticOcTreeNode>::prune();
+}
+
+void SemanticOcTree::expand() {
+  path_valid_ = false;
+  noteChangeEverywhere();
+  octomap::OccupancyOcTreeBase<SemanticOcTreeNode>::expand();
+}
+
+uint64_t SemanticOcTree::blockOf(const octomap::OcTreeKey& key) {
+  constexpr unsigned kShift = kDepth - kBlockDepth;
+  return (static_cast<uint64_t>(key[0] >> kShift) << 32) |
+         (static_cast<uint64_t>(key[1] >> kShift) << 16) | (key[2] >> kShift);
+}
+
+SemanticOcTree::Changes SemanticOcTree::takeChanges() {
+  Changes changes = std::move(changes_);
+  changes_.everywhere = false;
+  changes_.blocks.clear();
+  last_changed_ = ~uint64_t{0};
+  return changes;
+}
+
+void SemanticOcTree::noteChange(const octomap::OcTreeKey& key) {
+  const uint64_t block = blockOf(key);
+  if (block == last_changed_ || changes_.everywhere) return;
+  last_changed_ = block;
+  changes_.blocks.insert(block);
+}
+
+void SemanticOcTree::noteChangeEverywhere() {
+  changes_.everywhere = true;
+  changes_.blocks.clear();
+}
+
+void SemanticOcTree::expandNode(SemanticOcTreeNode* node) {
+  octomap::OccupancyOcTreeBase<SemanticOcTreeNode>::expandNode(node);
+  node->n_safe_ = 0;
+  node->n_unsafe_ = 0;
+}
+
+std::istream& SemanticOcTree::readData(std::istream& stream) {
+  if (root != nullptr) {  // as OctoMap: the caller clears it
+    stream.setstate(std::ios::failbit);
+    return stream;
+  }
+  path_valid_ = false;
+  noteChangeEverywhere();
+  root = new SemanticOcTreeNode();
+  tree_size = 1;
+  size_changed = true;
+  if (!readSubtree(stream, 0, root)) {
+    clear();
+    stream.setstate(std::ios::failbit);
+  }
+  return stream;
+}
+
+bool SemanticOcTree::readSubtree(std::istream& stream, unsigned depth, SemanticOcTreeNode* node) {
+  uint8_t children = 0;
+  node->readData(stream);
+  stream.read(reinterpret_cast<char*>(&children), sizeof(children));
+  if (!stream || !std::isfinite(node->value)) return false;
+  if (children == 0) {
+    const float stored = node->value;
+    node->setCounts(node->n_safe_, node->n_unsafe_);
+    constexpr float kRounding = 1e-4f;  // another machine's logarithm
+    return std::abs(stored - node->value) <= kRounding;
+  }
+  if (depth == kDepth || node->n_safe_ != 0 || node->n_unsafe_ != 0) return false;
+  for (unsigned i = 0; i < 8; ++i) {
+    if ((children & (1u << i)) == 0) continue;
+    if (!readSubtree(stream, depth + 1, createNodeChild(node, i))) return false;
+  }
+  return true;
 }
 
 }  // namespace core_perception

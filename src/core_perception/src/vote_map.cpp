@@ -2,6 +2,7 @@
 #include "core_perception/vote_map.h"
 
 #include <cmath>
+#include <utility>
 
 namespace core_perception {
 namespace {
@@ -17,6 +18,10 @@ bool makeKey(const VoxelIndex& voxel, octomap::OcTreeKey* key) {
   return true;
 }
 
+VoxelIndex indexOf(const octomap::OcTreeKey& key) {
+  return {key[0] - kKeyOffset, key[1] - kKeyOffset, key[2] - kKeyOffset};
+}
+
 int floorTo(int value, int step) {
   return value >= 0 ? value / step : -((step - 1 - value) / step);
 }
@@ -30,6 +35,12 @@ uint64_t makeTileKey(int tile_x, int tile_y) {
 
 VoteMap::VoteMap(double resolution_m, const RangeParams& range, const VoteParams& vote)
     : vote_(vote),
+      by_pixel_(vote.votes == "pixel"),
+      by_sum_(vote.column == "sum"),
+      tree_min_(
+          static_cast<int>(std::floor((range.floor_z_m + range.tree_min_z_m) / resolution_m))),
+      tree_max_(
+          static_cast<int>(std::floor((range.floor_z_m + range.tree_max_z_m) / resolution_m))),
       band_min_(
           static_cast<int>(std::floor((range.floor_z_m + range.band_min_z_m) / resolution_m))),
       // A voxel whose lower face lies at the top of the band does not reach into it.
@@ -44,7 +55,7 @@ void VoteMap::add(const FrameVotes& votes) {
   derived_.clear();
   for (const uint32_t touched : votes.touched())
     addToVoxel(votes.indexOf(touched), votes.tally(touched));
-  for (const VoxelIndex& column : derived_) deriveWorst(column.x, column.y);
+  for (const Place& place : derived_) derive(place);
 }
 
 void VoteMap::addToVoxel(const VoxelIndex& voxel, const VoxelTally& tally) {
@@ -57,20 +68,25 @@ void VoteMap::addToVoxel(const VoxelIndex& voxel, const VoxelTally& tally) {
 
   SemanticOcTreeNode* node = tree_.touch(key);
   Counts counts{node->n_safe(), node->n_unsafe()};
-  if (vote_.votes == "pixel") {
+  if (by_pixel_) {
     addVotes(tally.n_safe, tally.n_unsafe + tally.n_metric, &counts);
   } else {
     addFrameVote(!unsafe, static_cast<uint32_t>(vote_.count_cap), &counts);
   }
   node->setCounts(counts.n_safe, counts.n_unsafe);
+  if (!isInBand(voxel.z)) return;
+  const Place place = touchPlace(voxel.x, voxel.y);
+  place.band[voxel.z - band_min_] = counts;
+  addToColumn(tally, metric, unsafe, place);
+}
 
-  if (voxel.z < band_min_ || voxel.z > band_max_) return;
-  Column& column = touchColumn(voxel.x, voxel.y);
-  if (vote_.column == "sum") {
+void VoteMap::addToColumn(const VoxelTally& tally, bool metric, bool unsafe, const Place& place) {
+  Column& column = *place.column;
+  if (by_sum_) {
     addVotes(tally.n_safe, tally.n_unsafe + tally.n_metric, &column.counts);
   } else if (column.derived_frame != frame_) {
     column.derived_frame = frame_;
-    derived_.push_back(voxel);
+    derived_.push_back(place);
   }
   if (unsafe && (metric || column.cause_frame != frame_)) {
     column.cause = metric ? tally.metric_cause : tally.cause;
@@ -79,56 +95,113 @@ void VoteMap::addToVoxel(const VoxelIndex& voxel, const VoxelTally& tally) {
 }
 
 Counts VoteMap::counts(const VoxelIndex& voxel) const {
+  if (isInBand(voxel.z)) {
+    const Place place = findPlace(voxel.x, voxel.y);
+    return place.band == nullptr ? Counts() : place.band[voxel.z - band_min_];
+  }
   octomap::OcTreeKey key;
   if (!makeKey(voxel, &key)) return Counts();
   const SemanticOcTreeNode* node = tree_.find(key);
   return node == nullptr ? Counts() : Counts{node->n_safe(), node->n_unsafe()};
 }
 
-void VoteMap::deriveWorst(int x, int y) {
-  Counts worst;
-  for (int z = band_min_; z <= band_max_; ++z) {
-    const Counts voxel = counts({x, y, z});
-    if (!voxel.empty() && (worst.empty() || isWorse(voxel, worst))) worst = voxel;
+void VoteMap::derive(const Place& place) const {
+  Counts total, worst;
+  for (const Counts* voxel = place.band; voxel <= place.band + (band_max_ - band_min_); ++voxel) {
+    addVotes(voxel->n_safe, voxel->n_unsafe, &total);
+    if (!voxel->empty() && (worst.empty() || isWorse(*voxel, worst))) worst = *voxel;
   }
-  touchColumn(x, y).counts = worst;
+  place.column->counts = by_sum_ ? total : worst;
+}
+
+/// Writes the votes of a voxel into the tree and beside its column, which is to be derived then.
+void VoteMap::setVoxel(const VoxelIndex& voxel, const Counts& counts) {
+  octomap::OcTreeKey key;
+  if (!makeKey(voxel, &key)) return;
+  if (counts.empty()) {
+    tree_.erase(key);
+  } else {
+    tree_.touch(key)->setCounts(counts.n_safe, counts.n_unsafe);
+  }
+  if (isInBand(voxel.z)) touchPlace(voxel.x, voxel.y).band[voxel.z - band_min_] = counts;
 }
 
 void VoteMap::contradictVoxel(const VoxelIndex& voxel) {
-  octomap::OcTreeKey key;
   Counts left = counts(voxel);
-  if (left.n_unsafe == 0 || !makeKey(voxel, &key)) return;
+  if (left.n_unsafe == 0 || !isInBand(voxel.z)) return;
   contradict(&left);
-  if (left.empty()) {
-    tree_.erase(key);
-  } else {
-    tree_.touch(key)->setCounts(left.n_safe, left.n_unsafe);
-  }
   ++version_;
-  deriveWorst(voxel.x, voxel.y);
+  setVoxel(voxel, left);
+  derive(touchPlace(voxel.x, voxel.y));
 }
 
-Column& VoteMap::touchColumn(int x, int y) {
-  const int tile_x = floorTo(x, kTile), tile_y = floorTo(y, kTile);
-  Tile& tile = tiles_[makeTileKey(tile_x, tile_y)];
-  if (tile.empty()) {
-    tile.resize(kTile * kTile);
-    last_tile_ = nullptr;
+int VoteMap::clearBox(const Eigen::Vector3d& min_m, const Eigen::Vector3d& max_m) {
+  std::vector<VoxelIndex> inside;
+  const auto end = tree_.end_leafs();
+  for (auto leaf = tree_.begin_leafs(); leaf != end; ++leaf) {
+    const Eigen::Vector3d centre(leaf.getX(), leaf.getY(), leaf.getZ());
+    const bool is_inside =
+        (centre.array() >= min_m.array()).all() && (centre.array() <= max_m.array()).all();
+    if (is_inside) inside.push_back(indexOf(leaf.getKey()));
   }
-  return tile[(y - tile_y * kTile) * kTile + (x - tile_x * kTile)];
+  for (const VoxelIndex& voxel : inside) setVoxel(voxel, Counts());
+  for (const VoxelIndex& voxel : inside) {
+    if (isInBand(voxel.z)) derive(touchPlace(voxel.x, voxel.y));
+  }
+  if (!inside.empty()) ++version_;
+  return static_cast<int>(inside.size());
 }
 
-const Column* VoteMap::find(int x, int y) const {
+void VoteMap::load(const SemanticOcTree& saved, bool with_safe, uint16_t cause) {
+  ++version_;
+  const auto end = saved.end_leafs();
+  for (auto leaf = saved.begin_leafs(); leaf != end; ++leaf) {
+    Counts counts{leaf->n_safe(), leaf->n_unsafe()};
+    if (counts.empty() || (!with_safe && isSafe(counts, vote_.tau))) continue;
+    if (!with_safe) counts.n_safe = 0;
+    if (!by_pixel_) limitVotes(static_cast<uint32_t>(vote_.count_cap), &counts);
+    // A pruned leaf stands for all voxels that it covers.
+    const int n = 1 << (tree_.getTreeDepth() - leaf.getDepth());
+    const VoxelIndex first = indexOf(leaf.getIndexKey());
+    for (int i = 0; i < n * n * n; ++i) {
+      const VoxelIndex voxel{first.x + i % n, first.y + i / n % n, first.z + i / n / n};
+      if (voxel.z < tree_min_ || voxel.z > tree_max_) continue;
+      setVoxel(voxel, counts);
+      if (!isInBand(voxel.z)) continue;
+      const Place place = touchPlace(voxel.x, voxel.y);
+      derive(place);
+      place.column->cause = cause;
+    }
+  }
+}
+
+VoteMap::Place VoteMap::findPlace(int x, int y) const {
   const int tile_x = floorTo(x, kTile), tile_y = floorTo(y, kTile);
   const uint64_t key = makeTileKey(tile_x, tile_y);
   if (last_tile_ == nullptr || key != last_tile_key_) {
     const auto it = tiles_.find(key);
-    if (it == tiles_.end()) return nullptr;
-    last_tile_ = &it->second;
+    if (it == tiles_.end()) return Place();
+    last_tile_ = it->second.get();
     last_tile_key_ = key;
   }
-  const Column& column = (*last_tile_)[(y - tile_y * kTile) * kTile + (x - tile_x * kTile)];
-  return column.counts.empty() ? nullptr : &column;
+  const size_t i = static_cast<size_t>(y - tile_y * kTile) * kTile + (x - tile_x * kTile);
+  const auto layers = static_cast<size_t>(band_max_ - band_min_ + 1);
+  return {&last_tile_->columns[i], &last_tile_->band[i * layers]};
+}
+
+VoteMap::Place VoteMap::touchPlace(int x, int y) {
+  const Place known = findPlace(x, y);
+  if (known.column != nullptr) return known;
+  auto tile = std::make_unique<Tile>();
+  tile->columns.resize(kTile * kTile);
+  tile->band.resize(static_cast<size_t>(kTile * kTile) * (band_max_ - band_min_ + 1));
+  tiles_[makeTileKey(floorTo(x, kTile), floorTo(y, kTile))] = std::move(tile);
+  return findPlace(x, y);
+}
+
+const Column* VoteMap::find(int x, int y) const {
+  const Place place = findPlace(x, y);
+  return place.column == nullptr || place.column->counts.empty() ? nullptr : place.column;
 }
 
 void VoteMap::clear() {

@@ -38,6 +38,13 @@ void addFrameVote(bool safe, uint32_t cap, Counts* counts) {
   while (counts->total() > cap) --(other > 0 ? other : voted);
 }
 
+void limitVotes(uint32_t cap, Counts* counts) {
+  const uint64_t total = counts->total();
+  if (cap == 0 || total <= cap) return;
+  counts->n_safe = static_cast<uint32_t>(counts->n_safe * static_cast<uint64_t>(cap) / total);
+  counts->n_unsafe = cap - counts->n_safe;
+}
+
 void contradict(Counts* counts) {
   if (counts->n_unsafe > 0) --counts->n_unsafe;
 }

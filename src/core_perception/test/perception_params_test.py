@@ -6,10 +6,17 @@ import dataclasses
 import pytest
 import yaml
 
+from core_perception.depth_params import DepthCompletionParams, SelfCheckParams
 from core_perception.exceptions import ParameterError
 from core_perception.params import OverlayParams, ReasonerParams, SegmenterParams
 
-NODES = {"safety_reasoner": ReasonerParams, "segmenter": SegmenterParams, "safety_overlay": OverlayParams}
+NODES = {
+    "safety_reasoner": ReasonerParams,
+    "segmenter": SegmenterParams,
+    "safety_overlay": OverlayParams,
+    "depth_completion": DepthCompletionParams,
+    "self_check": SelfCheckParams,
+}
 
 
 @pytest.mark.parametrize("profile", ["core", "paper"])
@@ -68,6 +75,18 @@ BAD = [
     (SegmenterParams, {"missed_classes": "traffic_cone"}, "missed_classes"),
     (SegmenterParams, {"missed_classes": [3]}, "missed_classes"),
     (SegmenterParams, {"missed_classes": None}, "missed_classes"),
+    (SegmenterParams, {"lockstep": True, "latency_s": 0.5}, "latency_s"),
+    (SegmenterParams, {"latency_s": -0.1}, "latency_s"),
+    (SegmenterParams, {"segmenter": "replay"}, "replay_dir"),
+    (SegmenterParams, {"replay_by": "image"}, "replay_by"),
+    (SegmenterParams, {"dilate_px": -1}, "dilate_px"),
+    (SegmenterParams, {"boundary_noise_px": 51}, "boundary_noise_px"),
+    (SegmenterParams, {"false_positive_rate": 2}, "false_positive_rate"),
+    (SegmenterParams, {"deadline_s": 0}, "deadline_s"),
+    (SegmenterParams, {"min_score": float("nan")}, "min_score"),
+    (SegmenterParams, {"max_classes": -1}, "max_classes"),
+    (SegmenterParams, {"image_format": "gif"}, "image_format"),
+    (SegmenterParams, {"class_map": {11: "person"}}, "class_map"),
     (ReasonerParams, {"reasoner": "scripted"}, "predicates"),
     (ReasonerParams, {"scripted_latency_s": 0.0}, "scripted_latency_s"),
     (SegmenterParams, {"colour": 1}, "colour"),

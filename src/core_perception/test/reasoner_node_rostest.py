@@ -90,7 +90,8 @@ class Robot:
         return {str(p) for p in constraints_from_msg(newest).predicates} if newest else set()
 
     def status(self):
-        newest = self.diagnostics.messages[-1].status[0] if self.diagnostics.messages else None
+        all_told = [message.status[0] for message in self.diagnostics.messages]
+        newest = next((told for told in reversed(all_told) if "contextual reasoning" in told.name), None)
         return newest and {"level": newest.level, "message": newest.message, **{v.key: v.value for v in newest.values}}
 
     def close(self):

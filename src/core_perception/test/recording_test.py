@@ -14,7 +14,6 @@ from fakes.fake_model_server import FakeModelServer
 from core_perception.endpoint import Endpoint
 from core_perception.exceptions import PerceptionError, ServerError
 from core_perception.prompt import PromptTemplate
-from core_perception.reasoners import recording
 from core_perception.reasoners.base import Evidence
 from core_perception.reasoners.recording import RecordingClient, ReplayClient, hash_image, hash_prompt
 from core_perception.reasoners.vlm_client import VlmClient
@@ -341,7 +340,7 @@ def test_a_reply_that_cannot_be_written_is_a_failure_and_leaves_no_half_line(tmp
             return real_write(file, data[:20])
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(recording.os, "write", half_then_full)
+    monkeypatch.setattr(os, "write", half_then_full)
     cause, text, latency_s = ask(client, image(1))
     monkeypatch.undo()
     assert (cause, latency_s) == ("record_failed", 2.0)

@@ -181,12 +181,16 @@ TEST(InstanceMemory, object_put_aside_is_released_like_any_other) {
 
 TEST(InstanceDetector, splits_objects_that_share_a_label_and_drops_specks) {
   InstanceDetector detector(0.2, 8);
+  detector.start({1.0, 2.0, 0.0}, 12.0);
+  const auto add = [&](int16_t slot, const Eigen::Vector3d& p_m, bool standing) {
+    detector.add(slot, (p_m - Eigen::Vector3d(1.0, 2.0, 0.0)).cast<float>(), standing);
+  };
   for (int i = 0; i < 400; ++i) {
-    detector.add(0, {3.0 + 0.01 * (i % 20), 0.01 * (i / 20), 0.1}, true);
-    detector.add(0, {3.0 + 0.01 * (i % 20), 1.0 + 0.01 * (i / 20), 0.5}, true);
-    detector.add(1, {-3.0 + 0.01 * (i % 20), 0.01 * (i / 20), 0.1}, true);
+    add(0, {3.0 + 0.01 * (i % 20), 0.01 * (i / 20), 0.1}, true);
+    add(0, {3.0 + 0.01 * (i % 20), 1.0 + 0.01 * (i / 20), 0.5}, true);
+    add(1, {-3.0 + 0.01 * (i % 20), 0.01 * (i / 20), 0.1}, true);
   }
-  for (int i = 0; i < 5; ++i) detector.add(0, {6.0, 0.0, 0.0}, false);  // bled onto the background
+  for (int i = 0; i < 5; ++i) add(0, {6.0, 0.0, 0.0}, false);  // bled onto the background
   const std::vector<Detection> found = detector.finish({"cone", "box"});
   ASSERT_EQ(found.size(), 3u);
   EXPECT_EQ(found[2].class_name, "box");
@@ -196,10 +200,14 @@ TEST(InstanceDetector, splits_objects_that_share_a_label_and_drops_specks) {
 
 TEST(InstanceDetector, floor_that_got_the_label_of_a_standing_thing_does_not_stretch_it) {
   InstanceDetector detector(0.2, 8);
+  detector.start({1.0, 2.0, 0.0}, 12.0);
+  const auto add = [&](int16_t slot, const Eigen::Vector3d& p_m, bool standing) {
+    detector.add(slot, (p_m - Eigen::Vector3d(1.0, 2.0, 0.0)).cast<float>(), standing);
+  };
   for (int i = 0; i < 100; ++i) {
-    detector.add(0, {3.0 + 0.002 * i, 0.0, 0.5}, true);
-    detector.add(0, {3.2 + 0.005 * i, 0.0, 0.0}, false);
-    detector.add(1, {3.0 + 0.01 * i, 5.0, 0.0}, false);
+    add(0, {3.0 + 0.002 * i, 0.0, 0.5}, true);
+    add(0, {3.2 + 0.005 * i, 0.0, 0.0}, false);
+    add(1, {3.0 + 0.01 * i, 5.0, 0.0}, false);
   }
   const std::vector<Detection> found = detector.finish({"cone", "puddle"});
   ASSERT_EQ(found.size(), 2u);

@@ -79,6 +79,10 @@ TEST(Params, every_bad_value_is_refused_by_name) {
       {"slop_s", ParamValue::ofDouble(-0.1)},
       {"queue_size", ParamValue::ofInt(0)},
       {"octomap_period_s", ParamValue::ofDouble(0.0)},
+      {"rectify", ParamValue::ofInt(1)},
+      {"grid_period_s", ParamValue::ofDouble(-1.0)},
+      {"map_dir", ParamValue::ofBool(true)},
+      {"map_file", ParamValue::ofDouble(1.0)},
       {"min_frames", ParamValue::ofInt(0)},
       {"release_frames", ParamValue::ofBool(true)},
       {"surface_classes", ParamValue::ofString("floor")},
@@ -104,6 +108,15 @@ TEST(Params, values_that_contradict_each_other_are_refused) {
   EXPECT_EQ(findError({{"semantics", no}, {"metric_layer", no}}).find("metric_layer: got false"),
             0u);
   EXPECT_EQ(findError({{"semantics", no}}), "");
+  const ParamValue yes = ParamValue::ofBool(true);
+  EXPECT_EQ(findError({{"rectify", yes}, {"ignore_distortion", yes}}).find("rectify: got true"),
+            0u);
+  EXPECT_EQ(findError({{"rectify", yes}}), "");
+  const ParamValue file = ParamValue::ofString("/maps/hall.ot");
+  const ParamMap in_odom{{"map_file", file}, {"map_frame", ParamValue::ofString("robot1/odom")}};
+  EXPECT_EQ(findError(in_odom).find("map_file: got /maps/hall.ot"), 0u) << findError(in_odom);
+  EXPECT_EQ(findError({{"map_file", file}, {"map_frame", ParamValue::ofString("map")}}), "");
+  EXPECT_EQ(findError({{"map_file", ParamValue::ofString("")}}), "");
   // The scratch volume is counted in 32 bits.
   const ParamMap fine{{"resolution_m", ParamValue::ofDouble(0.02)},
                       {"range_max_m", ParamValue::ofDouble(4.0)},

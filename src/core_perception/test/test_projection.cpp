@@ -23,11 +23,29 @@ Frame makeFrame(const cv::Mat& depth) {
   return frame;
 }
 
+/// A pixel with depth, and its point relative to the camera.
+struct PixelPoint {
+  int u, v;
+  Eigen::Vector3f d_m;
+};
+
+template <typename Visitor>
+void forEachPoint(const Projection& projection, const cv::Mat& metres, Visitor visit) {
+  PointRow row;
+  for (int v = 0; v < metres.rows; ++v) {
+    projection.projectRow(metres, v, &row);
+    for (int u = row.first; u < row.end; ++u) {
+      if (row.depth_m[u] > 0.0f)
+        visit(PixelPoint{u, v, Eigen::Vector3f(row.dx_m[u], row.dy_m[u], row.dz_m[u])});
+    }
+  }
+}
+
 std::set<int> collectColumns(const Frame& frame, const RangeParams& range) {
   cv::Mat metres;
   convertToMetres(frame.depth, &metres);
   std::set<int> columns;
-  Projection(frame, range).forEachPoint(metres, [&](const PixelPoint& p) { columns.insert(p.u); });
+  forEachPoint(Projection(frame, range), metres, [&](const PixelPoint& p) { columns.insert(p.u); });
   return columns;
 }
 
@@ -37,10 +55,10 @@ TEST(Projection, agrees_with_the_pinhole_equations) {
   convertToMetres(frame.depth, &metres);
   const Projection projection(frame, RangeParams());
   int n = 0;
-  projection.forEachPoint(metres, [&](const PixelPoint& p) {
+  forEachPoint(projection, metres, [&](const PixelPoint& p) {
     const Eigen::Vector3d camera((p.u - 250.0) / 274.9 * 5.0, (p.v - 160.0) / 376.7 * 5.0, 5.0);
     const Eigen::Vector3d expected = frame.T_map_camera * camera - frame.T_map_camera.translation();
-    ASSERT_NEAR((expected - Eigen::Vector3d(p.dx_m, p.dy_m, p.dz_m)).norm(), 0.0, 1e-5);
+    ASSERT_NEAR((expected - p.d_m.cast<double>()).norm(), 0.0, 1e-5);
     const Eigen::Vector3d pixel = projection.project(frame.T_map_camera * camera);
     ASSERT_NEAR(pixel.x(), p.u, 1e-6);
     ASSERT_NEAR(pixel.y(), p.v, 1e-6);
@@ -74,12 +92,21 @@ TEST(Projection, whole_reach_of_the_camera_fits_the_scratch_volume) {
   FrameVotes votes(0.2, -10.0, 10.0);
   votes.start(projection.p_map_camera(), projection.reach_m());
   double farthest_m = 0.0;
-  projection.forEachPoint(metres, [&](const PixelPoint& p) {
-    farthest_m = std::max(farthest_m, static_cast<double>(std::hypot(p.dx_m, p.dy_m)));
-    VoxelTally* tally = votes.touch(p.dx_m, p.dy_m, p.dz_m);
-    ASSERT_NE(tally, nullptr);
-    ++tally->n_safe;
+  forEachPoint(projection, metres, [&](const PixelPoint& p) {
+    farthest_m = std::max(farthest_m, static_cast<double>(p.d_m.head<2>().norm()));
   });
+  PointRow row;
+  std::vector<int32_t> voxels;
+  for (int v = 0; v < metres.rows; ++v) {
+    projection.projectRow(metres, v, &row);
+    votes.locate(row, FloorBand(), &voxels);
+    for (int u = 0; u < metres.cols; ++u) {
+      const int32_t exact = votes.locatePoint(projection.computePoint(u, v, 7.0), 7.0, FloorBand());
+      ASSERT_GE(exact, 0);
+      ASSERT_TRUE(voxels[u] == exact || voxels[u] == FrameVotes::kUndecided) << u << " " << v;
+      ++votes.touch(exact).n_safe;
+    }
+  }
   EXPECT_GT(farthest_m, 9.4);
   uint32_t counted = 0;
   for (const uint32_t touched : votes.touched()) {
@@ -88,6 +115,49 @@ TEST(Projection, whole_reach_of_the_camera_fits_the_scratch_volume) {
     EXPECT_EQ(votes.find(voxel), &votes.tally(touched));
   }
   EXPECT_EQ(counted, 500u * 320u);
+}
+
+/// What single precision decides must be what double precision says; it may leave a few open.
+TEST(Projection, no_point_lands_in_a_wrong_voxel) {
+  FloorBand floor;
+  floor.camera_height_m = 0.65f;
+  floor.min_height_m = -0.15f;
+  floor.metric_min_height_m = 0.10f;
+  floor.metric_slope = 0.01f;
+  FrameVotes votes(0.2, -1.0, 3.0);
+  int n_undecided = 0;
+  for (int round = 0; round < 20; ++round) {
+    cv::Mat depth(320, 500, CV_32FC1);
+    cv::randu(depth, 0.3, 7.0);
+    Frame frame = makeFrame(depth);
+    frame.T_map_camera = Scene::pose(37.3 * round, -91.7 * round, 0.3 * round);
+    RangeParams range;
+    range.depth_edge_ratio = 0.0;
+    const Projection projection(frame, range);
+    cv::Mat metres;
+    convertToMetres(frame.depth, &metres);
+    votes.start(projection.p_map_camera(), projection.reach_m());
+    PointRow row;
+    std::vector<int32_t> voxels;
+    for (int v = 0; v < metres.rows; ++v) {
+      projection.projectRow(metres, v, &row);
+      votes.locate(row, floor, &voxels);
+      for (int u = row.first; u < row.end; ++u) {
+        n_undecided += voxels[u] == FrameVotes::kUndecided ? 1 : 0;
+        if (voxels[u] == FrameVotes::kUndecided) continue;
+        const double z_m = metres.ptr<float>(v)[u];
+        ASSERT_EQ(voxels[u], votes.locatePoint(projection.computePoint(u, v, z_m), z_m, floor));
+      }
+    }
+  }
+  EXPECT_LT(n_undecided, 20 * 500 * 320 / 500);
+}
+
+TEST(Projection, millimetres_at_both_ends_of_the_range_are_within_it) {
+  const cv::Mat mm = (cv::Mat_<uint16_t>(1, 4) << 299, 300, 7000, 7001);
+  RangeParams range;
+  range.depth_edge_ratio = 0.0;
+  EXPECT_EQ(collectColumns(makeFrame(mm), range), (std::set<int>{1, 2}));
 }
 
 TEST(Projection, scaled_intrinsics_see_the_same_rays) {

@@ -493,6 +493,59 @@ TEST(SemanticMap, clear_forgets_everything) {
       << "the disc is where the robot starts anew";
 }
 
+TEST(SemanticMap, cleared_box_is_unknown_and_begins_a_new_history_without_a_new_disc) {
+  SemanticMap map{SemanticMapParams()};
+  const Scene scene = makeConeLine();
+  for (int i = 1; i <= 4; ++i) map.update(scene.render(i, 0.0, 0.0, 0.0), makeConeRules());
+  EXPECT_EQ(map.history_start_s(), 1.0);
+  EXPECT_FALSE(map.clearBox({50.0, 50.0, -1.0}, {60.0, 60.0, 1.0}));
+  EXPECT_EQ(map.history_start_s(), 1.0) << "nothing was there";
+  EXPECT_TRUE(map.clearBox({4.0, -9.0, -1.0}, {6.0, 9.0, 3.0}));
+  EXPECT_TRUE(map.instances().empty());
+  EXPECT_EQ(map.history_start_s(), 0.0);
+  Frame blind = scene.render(5.0, 3.0, 0.0, 0.0);
+  blind.depth.setTo(0.0f);
+  const SafetyGrid& grid = map.update(blind, makeConeRules());
+  EXPECT_EQ(map.history_start_s(), 5.0);
+  EXPECT_EQ(stateAt(grid, 5.1, 0.1), CellState::kUnknown);
+  EXPECT_NE(stateAt(grid, 3.9, 0.1), CellState::kUnknown) << "outside the box all is kept";
+}
+
+TEST(SemanticMap, box_without_end_clears_everything) {
+  SemanticMap map{SemanticMapParams()};
+  map.update(makeConeLine().render(1.0, 0.0, 0.0, 0.0), makeConeRules());
+  const double inf = std::numeric_limits<double>::infinity();
+  EXPECT_TRUE(map.clearBox({-inf, -inf, -inf}, {inf, inf, inf}));
+  EXPECT_EQ(map.votes().tree().getNumLeafNodes(), 0u);
+}
+
+TEST(SemanticMap, loaded_map_adds_barriers_and_no_safe_ground) {
+  SemanticMap seen{SemanticMapParams()};
+  for (int i = 1; i <= 4; ++i)
+    seen.update(makeConeLine().render(i, 0.0, 0.0, 0.0), makeConeRules());
+  SemanticMap map{SemanticMapParams()};
+  map.load(seen.votes().tree());
+  Frame blind = makeConeLine().render(1.0, 0.0, 0.0, 0.0);
+  blind.depth.setTo(0.0f);
+  const SafetyGrid& grid = map.update(blind, makeConeRules());
+  int n_unsafe = 0;
+  for (size_t i = 0; i < grid.state.size(); ++i) {
+    if (grid.state[i] != CellState::kUnsafe) continue;
+    ++n_unsafe;
+    EXPECT_EQ(grid.causes.at(grid.cause[i]).rule, kSavedRule);
+  }
+  EXPECT_GT(n_unsafe, 4) << "the cones";
+  EXPECT_EQ(stateAt(grid, 3.5, 0.1), CellState::kUnknown) << "what was safe then may not be now";
+}
+
+TEST(SemanticMap, camera_that_sees_too_many_voxels_is_refused) {
+  SemanticMapParams params;
+  params.resolution_m = 0.02;
+  params.range.range_max_m = 50.0;
+  SemanticMap map(params);
+  EXPECT_THROW(map.update(makeConeLine().render(1.0, 0.0, 0.0, 0.0), makeConeRules()), FrameError);
+}
+
 }  // namespace
 }  // namespace core_perception
 

@@ -44,24 +44,58 @@ cv::Mat fillPlainly(const cv::Mat& mask) {
   return out;
 }
 
+cv::Mat toMask(const PixelSet& set) {
+  cv::Mat mask = cv::Mat::zeros(set.height(), set.width(), CV_8UC1);
+  set.paint(255, &mask);
+  return mask;
+}
+
+cv::Mat computeRegions(const cv::Mat& labels, const std::vector<LabelClass>& classes,
+                       const std::vector<Predicate>& predicates) {
+  ImageRegions regions(50);
+  regions.compute(labels, classes, predicates);
+  return regions.image().clone();
+}
+
 TEST(SpatialOperators, are_bit_equal_to_plain_opencv) {
   std::mt19937 random(3);
-  for (int round = 0; round < 200; ++round) {
+  for (int round = 0; round < 1200; ++round) {
     const int width = 497 + round % 16;
-    const cv::Mat mask = makeRandomMask(&random, width, 100 + static_cast<int>(random() % 60));
+    cv::Mat mask = makeRandomMask(&random, width, 100 + static_cast<int>(random() % 60));
     const int kernel_px = round % 4 == 0 ? 1 + static_cast<int>(random() % 60) : 50;
-    ASSERT_TRUE(equal(dilateAround(mask, kernel_px), dilatePlainly(mask, kernel_px)))
+    if (round % 5 == 0) {  // a mask full of holes
+      cv::Mat noise(mask.size(), CV_8UC1);
+      cv::randu(noise, 0, 256);
+      mask &= noise < 64 + 16 * (round % 10);
+    }
+    ASSERT_TRUE(equal(toMask(findPixels(mask)), mask)) << round;
+    ASSERT_TRUE(
+        equal(toMask(dilateAround(findPixels(mask), kernel_px)), dilatePlainly(mask, kernel_px)))
         << round << " " << kernel_px;
-    ASSERT_TRUE(equal(fillBetween(mask), fillPlainly(mask))) << round;
+    ASSERT_TRUE(equal(toMask(fillBetween(findPixels(mask))), fillPlainly(mask))) << round;
   }
 }
 
-TEST(SpatialOperators, select_takes_every_label_of_the_class_and_never_label_0) {
+TEST(SpatialOperators, a_class_is_every_label_of_it_and_never_label_0) {
   cv::Mat labels = (cv::Mat_<uint16_t>(1, 5) << 0, 1, 2, 65535, 3);
   const std::vector<LabelClass> classes{{0, "cone"}, {1, "cone"}, {65535, "cone"}, {2, "box"}};
-  EXPECT_TRUE(
-      equal(selectClass(labels, classes, "cone"), (cv::Mat_<uint8_t>(1, 5) << 0, 255, 0, 255, 0)));
-  EXPECT_EQ(cv::countNonZero(selectClass(labels, classes, "chair")), 0);
+  const auto find = [&](const std::string& name) {
+    return computeRegions(labels, classes,
+                          {makePredicate(SpatialOperator::kNear, name, Verdict::kSafe)});
+  };
+  EXPECT_TRUE(equal(find("cone"), (cv::Mat_<uint8_t>(1, 5) << 0, 255, 0, 255, 0)));
+  EXPECT_EQ(cv::countNonZero(find("chair")), 0);
+}
+
+TEST(SpatialOperators, last_unsafe_predicate_that_holds_is_named_as_far_as_numbers_go) {
+  const cv::Mat labels = cv::Mat::ones(1, 1, CV_16UC1);
+  std::vector<Predicate> predicates;
+  for (int i = 0; i < 300; ++i) {
+    predicates.push_back(makePredicate(SpatialOperator::kNear, "box", Verdict::kUnsafe));
+    predicates.push_back(makePredicate(SpatialOperator::kNear, "box", Verdict::kSafe));
+    const int region = computeRegions(labels, {{1, "box"}}, predicates).at<uint8_t>(0, 0);
+    ASSERT_EQ(region, std::min(2 * i + 1, 254));
+  }
 }
 
 TEST(SpatialOperators, safe_set_is_union_of_safe_minus_union_of_unsafe) {
@@ -76,18 +110,18 @@ TEST(SpatialOperators, safe_set_is_union_of_safe_minus_union_of_unsafe) {
   for (int round = 0; round < 20; ++round) {
     cv::Mat labels = cv::Mat::ones(120, 200, CV_16UC1);
     for (int label = 2; label <= 4; ++label) labels.setTo(label, makeRandomMask(&random, 200, 120));
-    const ImageSets sets = computeImageSets(labels, classes, predicates, 50);
+    const cv::Mat regions = computeRegions(labels, classes, predicates);
     const auto mask = [&](int label) -> cv::Mat { return labels == label; };
     const cv::Mat safe = mask(1) | dilatePlainly(mask(2), 50);
     const cv::Mat unsafe = dilatePlainly(mask(3), 50) | fillPlainly(mask(3)) | mask(4);
-    EXPECT_TRUE(equal(sets.safe, safe & ~unsafe));
-    EXPECT_TRUE(equal(sets.rule > 0, unsafe));
+    EXPECT_TRUE(equal(regions == kSafeRegion, safe & ~unsafe));
+    EXPECT_TRUE(equal((regions > 0) & (regions < kSafeRegion), unsafe));
   }
 }
 
 TEST(SpatialOperators, no_predicate_makes_nothing_safe) {
   const cv::Mat labels = cv::Mat::ones(10, 10, CV_16UC1);
-  EXPECT_EQ(cv::countNonZero(computeImageSets(labels, {{1, "floor"}}, {}, 50).safe), 0);
+  EXPECT_EQ(cv::countNonZero(computeRegions(labels, {{1, "floor"}}, {})), 0);
 }
 
 }  // namespace

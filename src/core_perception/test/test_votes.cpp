@@ -24,16 +24,27 @@ struct Pixels {
 void addFrame(const std::vector<Pixels>& pixels, VoteMap* map) {
   FrameVotes votes(0.2, -1.0, 3.0);
   votes.start(Eigen::Vector3d(0.1, 0.1, 0.1), 5.0);
+  PointRow row;
   for (const Pixels& p : pixels) {
-    VoxelTally* tally =
-        votes.touch(static_cast<float>(p.x_m - 0.1), static_cast<float>(p.y_m - 0.1),
-                    static_cast<float>(p.z_m - 0.1));
-    ASSERT_NE(tally, nullptr);
-    tally->n_safe = p.n_safe;
-    tally->n_unsafe = p.n_unsafe;
-    tally->n_metric = p.n_metric;
-    tally->cause = 1;
-    tally->metric_cause = 2;
+    row.depth_m.push_back(1.0f);
+    row.dx_m.push_back(static_cast<float>(p.x_m - 0.1));
+    row.dy_m.push_back(static_cast<float>(p.y_m - 0.1));
+    row.dz_m.push_back(static_cast<float>(p.z_m - 0.1));
+  }
+  row.end = static_cast<int>(pixels.size());
+  std::vector<int32_t> voxels;
+  votes.locate(row, FloorBand(), &voxels);
+  for (size_t i = 0; i < pixels.size(); ++i) {
+    const Eigen::Vector3d d_m(pixels[i].x_m - 0.1, pixels[i].y_m - 0.1, pixels[i].z_m - 0.1);
+    const int32_t voxel = votes.locatePoint(d_m, 1.0, FloorBand());
+    ASSERT_GE(voxel, 0);
+    ASSERT_TRUE(voxels[i] == voxel || voxels[i] == FrameVotes::kUndecided);
+    VoxelTally& tally = votes.touch(voxel);
+    tally.n_safe = pixels[i].n_safe;
+    tally.n_unsafe = pixels[i].n_unsafe;
+    tally.n_metric = pixels[i].n_metric;
+    tally.cause = 1;
+    tally.metric_cause = 2;
   }
   map->add(votes);
 }
@@ -50,6 +61,24 @@ TEST(VoteRule, one_more_unsafe_vote_never_raises_the_probability_of_safe_and_the
     const double change = probability(after) - probability(before);
     EXPECT_GE(safe ? change : -change, 0.0);
     EXPECT_TRUE(cap == 0 || after.total() <= cap);
+  }
+}
+
+TEST(VoteRule, limit_keeps_the_probability_and_never_raises_it) {
+  std::mt19937 random(9);
+  for (int round = 0; round < 20000; ++round) {
+    const Counts before{static_cast<uint32_t>(random() >> (random() % 31)),
+                        static_cast<uint32_t>(random() >> (random() % 31))};
+    const uint32_t cap = random() % 20;
+    Counts after = before;
+    limitVotes(cap, &after);
+    if (cap == 0 || before.total() <= cap) {
+      EXPECT_TRUE(after == before);
+      continue;
+    }
+    EXPECT_EQ(after.total(), cap);
+    EXPECT_LE(probability(after), probability(before));
+    EXPECT_GT(probability(after), probability(before) - 1.0 / cap);
   }
 }
 

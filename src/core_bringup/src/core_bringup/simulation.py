@@ -42,6 +42,7 @@ class Simulation:
         footprint = self.robot.footprint
         self._truth = GroundTruth(self.task.unsafe_regions, self.world.objects, footprint.length_m, footprint.width_m)
         self._classes = self.world.class_of_label()
+        self._aliases = {item.id: item.aliases for item in self.world.objects}
         self._motion = WorldMotion(self.world.objects)
         self._renderer = self._start_renderer(params) if self.schedule.frame_every else None
         self._backend = self._start_backend(params)
@@ -80,10 +81,11 @@ class Simulation:
         """What the camera sees at a state; BringupError when the renderer's process has died."""
         return self._renderer.render(state)
 
-    def classes_in(self, frame: Frame) -> dict:
-        """Label id -> class name of what a frame shows."""
-        present = np.flatnonzero(np.bincount(frame.labels.ravel(), minlength=1))
-        return {int(label): self._classes[int(label)] for label in present if int(label) in self._classes}
+    def names_in(self, frame: Frame) -> dict:
+        """Label id -> class name of what a frame shows, then its aliases."""
+        present = map(int, np.flatnonzero(np.bincount(frame.labels.ravel(), minlength=1)))
+        shown = (label for label in present if label in self._classes)
+        return {label: (self._classes[label], *self._aliases.get(label, ())) for label in shown}
 
     @property
     def class_names(self) -> tuple:

@@ -19,6 +19,7 @@ struct Cause {
 
 constexpr char kMetricRule[] = "METRIC";     ///< obstacle seen by depth
 constexpr char kNotSafeRule[] = "NOT_SAFE";  ///< no safe predicate holds there
+constexpr char kSavedRule[] = "SAVED_MAP";   ///< unsafe in the map that was loaded
 constexpr char kUnknownRule[] = "UNKNOWN";   ///< never seen
 constexpr uint16_t kNoCause = 65535;
 

@@ -13,7 +13,19 @@ class ParameterError : public std::invalid_argument {
       : std::invalid_argument(key + ": got " + got + ", allowed " + allowed) {}
 };
 
-/// A frame cannot be used. reason() is a stable code in lower snake case, what() the same in words.
+/// Text from outside, for one line of a diagnostic: control characters, bytes beyond ASCII and all
+/// after the first 60 are shown as "?" and "...".
+inline std::string toPrintable(const std::string& text) {
+  constexpr size_t kLongest = 60;
+  std::string line = text.substr(0, kLongest);
+  for (char& c : line) {
+    if (c < ' ' || c > '~') c = '?';
+  }
+  return text.size() > kLongest ? line + "..." : line;
+}
+
+/// A frame cannot be used. reason() is a stable code in lower snake case, what() the same in words,
+/// in one line.
 class FrameError : public std::runtime_error {
  public:
   FrameError(const std::string& reason, const std::string& detail)

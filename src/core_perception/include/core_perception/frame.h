@@ -24,6 +24,10 @@ struct LabelClass {
   std::string class_name;
 };
 
+/// A pose that may lie anywhere in memory: frames are kept in containers, and what a vector
+/// instruction of another width would ask of them must not reach whoever links this library.
+using Pose = Eigen::Transform<double, 3, Eigen::Isometry, Eigen::DontAlign>;
+
 /// Everything the map needs to know about one instant. Images are not copied.
 struct Frame {
   double stamp_s = 0.0;
@@ -33,8 +37,8 @@ struct Frame {
   std::vector<LabelClass> classes;
   std::vector<std::string>
       classes_evaluated;  ///< looked for by the segmenter; others are not known to be absent
-  Eigen::Isometry3d T_map_camera = Eigen::Isometry3d::Identity();  ///< optical frame at stamp_s
-  Point2 p_map_base;                                               ///< robot at stamp_s
+  Pose T_map_camera = Pose::Identity();  ///< optical frame at stamp_s
+  Point2 p_map_base;                     ///< robot at stamp_s
 };
 
 /// Intrinsics for the same view at another image size.
@@ -47,7 +51,12 @@ double computeLongestRay(const Camera& camera);
 /// stamp_invalid or pose_invalid.
 void checkFrame(const Frame& frame);
 
+/// Pixels around a depth image that may be read too, and hold 0.
+constexpr int kDepthMargin_px = 2;
+
 /// Depth in metres as CV_32FC1; whatever is NaN, infinite, zero or negative becomes 0.
+/// @param metres becomes the inner part of a larger image with a margin of kDepthMargin_px pixels
+/// of 0; memory of the last call is used again where the size is the same.
 void convertToMetres(const cv::Mat& depth, cv::Mat* metres);
 
 }  // namespace core_perception

@@ -3,9 +3,11 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <limits>
 #include <vector>
 
 #include "core_perception/causes.h"
+#include "core_perception/projection.h"
 
 namespace core_perception {
 
@@ -24,6 +26,16 @@ struct VoxelTally {
   bool empty() const { return n_safe == 0 && n_unsafe == 0 && n_metric == 0; }
 };
 
+/// Points at the height of the floor. Noise must not spread them over two layers of voxels.
+///
+///     min_height_m <= height < metric_min_height_m + metric_slope depth
+struct FloorBand {
+  float camera_height_m = 0.0f;
+  float min_height_m = std::numeric_limits<float>::infinity();  ///< infinite: no such points
+  float metric_min_height_m = 0.0f, metric_slope = 0.0f;
+  int layer = 0;  ///< see FrameVotes::layerOf
+};
+
 /// Dense scratch volume around the camera in which the pixels of one frame are counted, with a list
 /// of touched voxels. It spans the whole reach of the camera: a point outside can only lie above or
 /// below the 3-D map.
@@ -35,18 +47,21 @@ class FrameVotes {
   /// Empties it and moves it around a camera of this reach.
   void start(const Eigen::Vector3d& p_map_camera, double reach_m);
 
-  /// Tally of the voxel of a point given relative to the camera, or nullptr when that lies outside.
-  /// Marks it touched.
-  VoxelTally* touch(float dx_m, float dy_m, float dz_m) {
-    const int x = floorIndex(offset_.x() + dx_m * cells_per_m_);
-    const int y = floorIndex(offset_.y() + dy_m * cells_per_m_);
-    return touchIndex(x, y, floorIndex(offset_.z() + dz_m * cells_per_m_));
+  /// Voxels of the points of a row, as touch() takes them. Entries outside the row's [first, end)
+  /// are stale. Single precision: a point too near to the border of a voxel is left undecided.
+  /// @param floor points of the floor, all of which are put into one layer.
+  void locate(const PointRow& row, const FloorBand& floor, std::vector<int32_t>* voxels) const;
+  /// The same for one point, in double precision; never kUndecided.
+  int32_t locatePoint(const Eigen::Vector3d& d_m, double depth_m, const FloorBand& floor) const;
+  static constexpr int32_t kNoVoxel = -1;    ///< no point, or one outside the volume
+  static constexpr int32_t kUndecided = -2;  ///< to be given to locatePoint
+  /// Tally of a voxel that locate() found; marks it touched.
+  VoxelTally& touch(int32_t voxel) {
+    VoxelTally& tally = tallies_[voxel];
+    if (tally.empty()) touched_.push_back(static_cast<uint32_t>(voxel));
+    return tally;
   }
-  /// The same with the height given as layer, see layerOf.
-  VoxelTally* touchLayer(float dx_m, float dy_m, int layer) {
-    const int x = floorIndex(offset_.x() + dx_m * cells_per_m_);
-    return touchIndex(x, floorIndex(offset_.y() + dy_m * cells_per_m_), layer);
-  }
+  int layers() const { return layers_; }
   /// Layer of a height in the fixed frame.
   int layerOf(double z_m) const;
 
@@ -57,32 +72,13 @@ class FrameVotes {
   const VoxelTally* find(const VoxelIndex& voxel) const;
 
  private:
-  static int floorIndex(float value) {
-    const int truncated = static_cast<int>(value);
-    return truncated - (value < static_cast<float>(truncated) ? 1 : 0);
-  }
-  VoxelTally* touchIndex(int x, int y, int z);
-
   double resolution_m_;
   float cells_per_m_;
   VoxelIndex origin_{0, 0, 0};
   int width_ = 0, layers_ = 0;
-  Eigen::Vector3f offset_ = Eigen::Vector3f::Zero();  ///< camera in cells, from the volume's corner
+  Eigen::Vector3d offset_ = Eigen::Vector3d::Zero();  ///< camera in cells, from the volume's corner
   std::vector<VoxelTally> tallies_;
   std::vector<uint32_t> touched_;
 };
-
-inline VoxelTally* FrameVotes::touchIndex(int x, int y, int z) {
-  // One unsigned comparison each also refuses negative indices.
-  if (static_cast<unsigned>(x) >= static_cast<unsigned>(width_) ||
-      static_cast<unsigned>(y) >= static_cast<unsigned>(width_) ||
-      static_cast<unsigned>(z) >= static_cast<unsigned>(layers_)) {
-    return nullptr;
-  }
-  const auto index = static_cast<uint32_t>((y * width_ + x) * layers_ + z);
-  VoxelTally* tally = &tallies_[index];
-  if (tally->empty()) touched_.push_back(index);
-  return tally;
-}
 
 }  // namespace core_perception

@@ -50,6 +50,9 @@ double computeDistance(const Point2& point, const Polygon& polygon);
 /// Distance between two convex polygons [m]; 0 when they touch or overlap.
 double computeDistance(const Polygon& a, const Polygon& b);
 
+/// Whether that distance is at most max_m; cheap for polygons that are far apart.
+bool areWithin(const Polygon& a, const Polygon& b, double max_m);
+
 /// Corners of the square of side edge_m around a centre, counter-clockwise.
 Polygon makeSquare(const Point2& centre, double edge_m);
 

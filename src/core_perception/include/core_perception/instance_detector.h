@@ -3,6 +3,7 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -39,36 +40,44 @@ class InstanceDetector {
  public:
   InstanceDetector(double map_resolution_m, int min_points);
 
-  void start();
+  /// Empties it and moves it around a camera of this reach.
+  void start(const Eigen::Vector3d& p_map_camera, double reach_m);
   /// @param slot index of the label's class in the frame.
-  /// @param p_map point in the fixed frame.
+  /// @param d_m point relative to the camera along the axes of the fixed frame, within reach.
   /// @param standing whether it lies above the floor by more than the metric band's lower end.
-  void add(int16_t slot, const Eigen::Vector3d& p_map, bool standing);
+  void add(int16_t slot, const Eigen::Vector3f& d_m, bool standing);
   /// @param class_names class per slot.
   std::vector<Detection> finish(const std::vector<std::string>& class_names) const;
 
  private:
   static constexpr double kBin_m = 0.05;
   struct Bin {
-    int16_t slot;
-    int x, y;  ///< bin indices
+    int16_t slot = 0;
+    int x = 0, y = 0;   ///< indices in the square of bins around the camera
+    int32_t next = -1;  ///< bin of another slot at the same place
     uint32_t n_points = 0, n_standing = 0;
-    double sum_x = 0.0, sum_y = 0.0;
-    double z_min_m = 0.0, z_max_m = 0.0;
+    double sum_x_m = 0.0, sum_y_m = 0.0;  ///< relative to the camera
+    float z_min_m = std::numeric_limits<float>::infinity();
+    float z_max_m = -std::numeric_limits<float>::infinity();
   };
+  using Bins = std::vector<const Bin*>;
 
+  size_t cellOf(int x, int y) const { return static_cast<size_t>(y) * width_ + x; }
+  const Bin* find(int16_t slot, int x, int y) const;
   Bin& touchBin(int16_t slot, int x, int y);
-  static std::vector<const Bin*> keepStanding(const std::vector<const Bin*>& bins,
-                                              uint32_t min_points);
-  void splitSlot(const std::vector<const Bin*>& bins, const std::string& class_name,
+  Bins keepStanding(const Bins& bins) const;
+  void splitSlot(const Bins& bins, const std::string& class_name,
                  std::vector<Detection>* detections) const;
-  void appendDetection(const std::vector<const Bin*>& bins, const std::string& class_name,
+  void appendDetection(const Bins& bins, const std::string& class_name,
                        std::vector<Detection>* detections) const;
 
   double map_resolution_m_;
   uint32_t min_points_;
+  Eigen::Vector3d p_map_camera_ = Eigen::Vector3d::Zero();
+  int width_ = 0;                            ///< bins along the edge of the square
+  float offset_x_ = 0.0f, offset_y_ = 0.0f;  ///< camera in bins, from the square's corner
   std::vector<Bin> bins_;
-  std::vector<int32_t> table_;  ///< open addressing over bins_, -1 = free
+  std::vector<int32_t> heads_;  ///< first bin of every place, -1 for none
 };
 
 }  // namespace core_perception

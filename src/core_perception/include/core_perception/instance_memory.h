@@ -70,6 +70,8 @@ class InstanceMemory {
   /// Puts aside the objects of the classes that are surfaces now, and takes back those whose class
   /// no longer is. An object put aside is not among instances(), but still released as any other.
   void hideClasses(const std::function<bool(const std::string&)>& is_surface);
+  /// Forgets the objects that reach into a box; returns how many.
+  int clearBox(const Eigen::Vector3d& min_m, const Eigen::Vector3d& max_m);
   void clear();
 
  private:

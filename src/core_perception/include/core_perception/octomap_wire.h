@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "core_perception/semantic_octree.h"
+#include "core_perception/tree_snapshot.h"
 
 namespace core_perception {
 
@@ -21,8 +21,12 @@ enum class WireFormat {
 /// Class name under which OctoMap's factory reads the bytes.
 std::string idOf(WireFormat format);
 
-/// Bytes of octomap_msgs/Octomap.data, written straight from the tree; empty for an empty tree.
-/// Inner nodes are brought up to date first.
-std::vector<int8_t> serialise(WireFormat format, SemanticOcTree* tree);
+/// Bytes of octomap_msgs/Octomap.data; empty for an empty tree.
+std::vector<int8_t> serialise(WireFormat format, const TreeSnapshot& snapshot);
+std::vector<int8_t> serialise(WireFormat format, const SemanticOcTree& tree);
+
+/// The bytes of a file: of kSemantic an .ot with every count, of kBinary a .bt for octovis and
+/// other OctoMap programs. No other format is a file of its own.
+std::string formatFile(WireFormat format, const TreeSnapshot& snapshot);
 
 }  // namespace core_perception

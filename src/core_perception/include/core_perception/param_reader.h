@@ -50,6 +50,8 @@ class ParamReader {
   /// Any non-empty text, or one of `allowed` where that is not empty.
   void read(const std::string& key, std::string* field,
             const std::vector<std::string>& allowed = {});
+  /// Any text, the empty one too.
+  void readText(const std::string& key, std::string* field);
   void read(const std::string& key, std::vector<std::string>* field);
   void read(const std::string& key, std::map<std::string, double>* field, const Bounds& bounds);
   /// @throws ParameterError naming the first key that was not read, and listing those that exist.

@@ -91,6 +91,10 @@ struct NodeParams {
   int queue_size = 60;   ///< frames that may wait for their labels
   double octomap_period_s = 1.0;   ///< of the octomap topics
   bool ignore_distortion = false;  ///< take images as rectified whatever camera_info says
+  bool rectify = false;            ///< rectify images whose camera_info has distortion
+  double grid_period_s = 0.0;      ///< of whole occupancy grids; updates between them; 0: all whole
+  std::string map_dir;             ///< where semantic_map/save writes; empty: core_maps in ROS_HOME
+  std::string map_file;            ///< .ot file the map begins with; empty: none
   SemanticMapParams map;
 
   static NodeParams fromMap(const ParamMap& values);

@@ -10,6 +10,7 @@
 #include "core_perception/projection.h"
 #include "core_perception/safety_grid.h"
 #include "core_perception/spatial_operators.h"
+#include "core_perception/stage_clock.h"
 #include "core_perception/vote_map.h"
 
 namespace core_perception {
@@ -44,17 +45,33 @@ class SemanticMap {
   double history_start_s() const { return history_start_s_; }
   VoteMap& votes() { return votes_; }
   const SemanticMapParams& params() const { return params_; }
+  /// Forgets what it holds in a box of the fixed frame: voxels whose centre lies in it, objects
+  /// that reach into it. What is cleared is unknown then. Where anything was, a new history begins
+  /// with the next frame: regions of a forgotten object reached beyond the box, and the ground
+  /// there would become safe; who uses the map must ask an operator. The first position of the
+  /// robot is kept: no other ground is taken as safe.
+  /// @returns whether anything was there.
+  bool clearBox(const Eigen::Vector3d& min_m, const Eigen::Vector3d& max_m);
+  /// Adds a saved tree of the same resolution. With ground operators only what is unsafe in it:
+  /// regions live with their objects, which a tree does not hold, so that what was safe between
+  /// yesterday's cones may not be now.
+  void load(const SemanticOcTree& saved);
+  /// Is told where the time of every update goes; nullptr: nobody.
+  void observeStages(StageClock* clock) { stage_clock_ = clock; }
   /// Forgets everything, the first position of the robot included. Numbers of objects are not given
   /// again.
   void clear();
 
  private:
   std::vector<Predicate> findInForce(const Constraints& constraints) const;
-  void collect(const Frame& frame, const Projection& projection, const ImageSets& sets, bool vote);
-  void collectInstancePoint(const PixelPoint& point, float height_m, int16_t slot,
-                            const Projection& projection);
-  void votePoint(const PixelPoint& point, float height_m, float metric_height_m,
-                 const LabelMeaning& meaning, const ImageSets& sets);
+  void collect(const Frame& frame, const Projection& projection, bool vote);
+  void collectInstances(const Frame& frame, const Projection& projection, int v);
+  void voteRow(const Frame& frame, const Projection& projection, int v);
+  int32_t locateExactly(const Frame& frame, const Projection& projection, const FloorBand& floor,
+                        int u, int v) const;
+  void mark(Stage stage) const {
+    if (stage_clock_ != nullptr) stage_clock_->mark(stage);
+  }
   ColumnRange findReach(const Projection& projection) const;
 
   SemanticMapParams params_;
@@ -66,14 +83,17 @@ class SemanticMap {
   InstanceMemory memory_;
   GridComposer composer_;
   InitialDisc disc_;
+  bool has_disc_ = false;
   double history_start_s_ = 0.0;
+  StageClock* stage_clock_ = nullptr;
   std::vector<Predicate> predicates_;
   cv::Mat metres_;
   // Of the frame being added.
-  float camera_height_m_ = 0.0f;
-  int floor_layer_ = 0;
-  Eigen::Vector3d p_map_camera_ = Eigen::Vector3d::Zero();
+  ImageRegions regions_;
   std::vector<uint16_t> rule_causes_;  ///< cause of each predicate, for image operators
+  PointRow row_;
+  std::vector<int32_t> voxels_;     ///< of the points of row_
+  std::vector<int32_t> is_object_;  ///< whether a point of row_ may be one of an object
 };
 
 }  // namespace core_perception

@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <iosfwd>
 #include <string>
+#include <unordered_set>
 
 namespace core_perception {
 
@@ -47,7 +48,9 @@ class SemanticOcTreeNode : public octomap::OcTreeNode {
 };
 
 /// OctoMap tree of votes, registered with OctoMap's factory as "SemanticOcTree" in every process
-/// that links this library.
+/// that links this library, so that AbstractOcTree::read and createTree + readData (what
+/// octomap_msgs does with a message) give it back. A client under a linker that drops unused
+/// libraries must name one symbol, such as by dynamic_cast<SemanticOcTree*>.
 class SemanticOcTree : public octomap::OccupancyOcTreeBase<SemanticOcTreeNode> {
  public:
   explicit SemanticOcTree(double resolution_m);
@@ -67,9 +70,36 @@ class SemanticOcTree : public octomap::OccupancyOcTreeBase<SemanticOcTreeNode> {
   /// As the base's; drops the kept path.
   void clear();
   void prune() override;
+  void expand() override;
+  /// As the base's, but the node itself keeps no counts: inner nodes have none.
+  void expandNode(SemanticOcTreeNode* node) override;
+
+  /// Reads the nodes of a file or a message into an empty tree. OctoMap's own reader recurses as
+  /// deep as the bytes say and uses what it could not read; this one checks each node. Bytes that
+  /// end early, lie deeper than 16 levels, hold a value that is no number, counts in an inner node,
+  /// or a leaf value other than its counts give (by more than rounding) leave the tree empty and
+  /// set failbit. Bytes that follow the root's subtree are left in the stream.
+  std::istream& readData(std::istream& stream) override;
+
+  /// Subtrees in which voxels were touched or erased.
+  struct Changes {
+    bool everywhere = true;
+    std::unordered_set<uint64_t> blocks;  ///< by blockOf()
+  };
+  /// Edge of a block: 16 voxels.
+  static constexpr unsigned kBlockDepth = 12;
+  static uint64_t blockOf(const octomap::OcTreeKey& key);
+  /// What changed since the last call. Changes made through OctoMap's own methods of the base class
+  /// (updateNode, deleteNode, ...) are not noticed.
+  Changes takeChanges();
 
  private:
   static constexpr unsigned kDepth = 16;
+
+  void noteChange(const octomap::OcTreeKey& key);
+  void noteChangeEverywhere();
+
+  bool readSubtree(std::istream& stream, unsigned depth, SemanticOcTreeNode* node);
 
   struct Registration {
     Registration();
@@ -81,6 +111,8 @@ class SemanticOcTree : public octomap::OccupancyOcTreeBase<SemanticOcTreeNode> {
       {};  ///< path_[d]: node of depth d on the way to last_key_
   octomap::OcTreeKey last_key_;
   bool path_valid_ = false;
+  Changes changes_;
+  uint64_t last_changed_ = ~uint64_t{0};  ///< block noted last
 };
 
 }  // namespace core_perception

@@ -2,43 +2,58 @@
 #pragma once
 
 #include <opencv2/core.hpp>
+#include <string>
 #include <vector>
 
 #include "core_perception/frame.h"
+#include "core_perception/pixel_set.h"
 #include "core_perception/predicates.h"
 
 namespace core_perception {
 
-/// ON(class), NEAR(class): 255 where the label belongs to the class, else 0. Source: [CORE]
-/// appendix, spatial operators.
-/// @param labels CV_16UC1. @returns CV_8UC1 of the same size.
-cv::Mat selectClass(const cv::Mat& labels, const std::vector<LabelClass>& classes,
-                    const std::string& class_name);
-
-/// AROUND(class): the mask dilated by an elliptic kernel of kernel_px x kernel_px, anchored at its
+/// AROUND(class): the set dilated by an elliptic kernel of kernel_px x kernel_px, anchored at its
 /// centre; bit-equal to
 ///     cv::dilate(mask, out, cv::getStructuringElement(cv::MORPH_ELLIPSE, {kernel_px, kernel_px}))
-/// @param mask CV_8UC1, 0 or 255.
-cv::Mat dilateAround(const cv::Mat& mask, int kernel_px);
+/// Source: [CORE] appendix, spatial operators. Differs: every row of the kernel is one run, and so
+/// is what it makes of a run; the runs of an output row are joined by counting their ends.
+PixelSet dilateAround(const PixelSet& set, int kernel_px);
 
-/// BETWEEN(class): the filled convex hull of all pixels of the mask; bit-equal to findNonZero,
-/// convexHull, fillConvexPoly. An empty mask stays empty.
-cv::Mat fillBetween(const cv::Mat& mask);
+/// BETWEEN(class): the filled convex hull of all pixels of the set; bit-equal to findNonZero,
+/// convexHull, fillConvexPoly. An empty set stays empty.
+PixelSet fillBetween(const PixelSet& set);
 
-/// The operator applied to the class of the predicate; verdict and severity do not matter here.
-cv::Mat applyOperator(const Predicate& predicate, const cv::Mat& labels,
-                      const std::vector<LabelClass>& classes, int kernel_px);
+/// What the pixels of an image are by the operators, see ImageRegions.
+constexpr uint8_t kNoRegion = 0;       ///< no predicate holds
+constexpr uint8_t kMostRules = 253;    ///< 1 ... 253: unsafe, 1 + index of the last such predicate
+constexpr uint8_t kOtherUnsafe = 254;  ///< unsafe by a predicate of a larger index
+constexpr uint8_t kSafeRegion = 255;
 
-/// Partition of the image, and which unsafe predicate holds where.
-struct ImageSets {
-  cv::Mat safe;  ///< CV_8UC1: 255 in (union of safe sets) minus (union of unsafe sets), else 0
-  cv::Mat rule;  ///< CV_8UC1: 1 + index into the predicates of the last unsafe one that holds, 0
-                 ///< for none (or index > 253)
+/// Partition of an image by the spatial operators over the classes of its labels:
+///
+///     I_safe = (union_j I_j_safe) \ (union_k I_k_unsafe)
+///
+/// ON and NEAR of a class are its pixels, AROUND and BETWEEN as above. Source: [CORE] semantic
+/// grounding. Severity is not part of [CORE]: here SLOW is taken as STOP.
+class ImageRegions {
+ public:
+  explicit ImageRegions(int kernel_px) : kernel_px_(kernel_px) {}
+
+  /// @param labels CV_16UC1.
+  void compute(const cv::Mat& labels, const std::vector<LabelClass>& classes,
+               const std::vector<Predicate>& predicates);
+  /// CV_8UC1 of the size of the labels.
+  const cv::Mat& image() const { return image_; }
+
+ private:
+  void findClasses(const cv::Mat& labels, const std::vector<LabelClass>& classes,
+                   const std::vector<Predicate>& predicates);
+  void paint(const Predicate& predicate, uint8_t value);
+
+  int kernel_px_;
+  std::vector<std::string> names_;  ///< classes the predicates speak of
+  std::vector<PixelSet> sets_;      ///< their pixels
+  std::vector<uint16_t> class_of_;  ///< by label: 1 + index into names_, 0 for none
+  cv::Mat image_;
 };
-
-/// I_safe = (union_j I_j_safe) \ (union_k I_k_unsafe). Source: [CORE] semantic grounding.
-/// Severity is not part of [CORE]: here SLOW is taken as STOP.
-ImageSets computeImageSets(const cv::Mat& labels, const std::vector<LabelClass>& classes,
-                           const std::vector<Predicate>& predicates, int kernel_px);
 
 }  // namespace core_perception

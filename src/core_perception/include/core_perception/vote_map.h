@@ -20,7 +20,9 @@ struct Column {
   uint32_t derived_frame = 0;
 };
 
-/// The 3-D map of votes and the 2-D counts that follow from it.
+/// The 3-D map of votes and the 2-D counts that follow from it. The votes of the voxels of the
+/// height band are kept a second time beside their columns, where they are found without a descent
+/// of the tree.
 ///
 /// A column takes the voxels that reach into the height band: their sum (`sum`, as [CORE]) or the
 /// worst of them
@@ -31,8 +33,15 @@ class VoteMap {
 
   /// Adds what one frame saw: one tree update a voxel.
   void add(const FrameVotes& votes);
-  /// Takes one unsafe vote from a voxel; a voxel left without votes is removed.
+  /// Takes one unsafe vote from a voxel of the band; a voxel left without votes is removed.
   void contradictVoxel(const VoxelIndex& voxel);
+  /// Removes the voxels whose centre lies in the closed box; returns how many.
+  int clearBox(const Eigen::Vector3d& min_m, const Eigen::Vector3d& max_m);
+  /// Takes the votes of another tree of the same resolution, within the span of this map. Counts
+  /// are brought under the cap in proportion.
+  /// @param with_safe false: only voxels that are not safe, with their unsafe votes alone.
+  /// @param cause of what is unsafe by it.
+  void load(const SemanticOcTree& saved, bool with_safe, uint16_t cause);
   /// Column or nullptr when nothing was ever seen there.
   const Column* find(int x, int y) const;
   /// Lowest and highest voxel of the band.
@@ -47,19 +56,33 @@ class VoteMap {
 
  private:
   static constexpr int kTile = 32;
-  using Tile = std::vector<Column>;
+  /// kTile x kTile columns, and the voxels of the band of each.
+  struct Tile {
+    std::vector<Column> columns;
+    std::vector<Counts> band;
+  };
+  /// A column of a tile; null pointers where there is no tile.
+  struct Place {
+    Column* column = nullptr;
+    Counts* band = nullptr;  ///< from the lowest voxel of the band on
+  };
 
-  Column& touchColumn(int x, int y);
+  bool isInBand(int z) const { return z >= band_min_ && z <= band_max_; }
+  Place findPlace(int x, int y) const;
+  Place touchPlace(int x, int y);
   void addToVoxel(const VoxelIndex& voxel, const VoxelTally& tally);
-  void deriveWorst(int x, int y);
+  void addToColumn(const VoxelTally& tally, bool metric, bool unsafe, const Place& place);
+  void setVoxel(const VoxelIndex& voxel, const Counts& counts);
+  void derive(const Place& place) const;
 
   VoteParams vote_;
-  int band_min_, band_max_;
+  bool by_pixel_, by_sum_;
+  int tree_min_, tree_max_, band_min_, band_max_;
   SemanticOcTree tree_;
-  std::unordered_map<uint64_t, Tile> tiles_;
+  std::unordered_map<uint64_t, std::unique_ptr<Tile>> tiles_;
   mutable uint64_t last_tile_key_ = 0;
-  mutable const Tile* last_tile_ = nullptr;
-  std::vector<VoxelIndex> derived_;
+  mutable Tile* last_tile_ = nullptr;
+  std::vector<Place> derived_;  ///< columns to derive at the end of a frame
   uint32_t frame_ = 0;
   uint64_t version_ = 0;
 };

@@ -35,6 +35,10 @@ void addVotes(uint32_t n_safe, uint32_t n_unsafe, Counts* counts);
 /// votes as there is history. cap 0 means none.
 void addFrameVote(bool safe, uint32_t cap, Counts* counts);
 
+/// Brings n_safe + n_unsafe down to a cap with about the same P(safe), never a higher one; cap 0
+/// means none.
+void limitVotes(uint32_t cap, Counts* counts);
+
 /// Takes one unsafe vote away: the voxel was seen through.
 void contradict(Counts* counts);
 

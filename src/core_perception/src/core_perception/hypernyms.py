@@ -51,7 +51,7 @@ class Hypernyms:
         if self._problem:
             return None
         try:
-            sense = self._concrete_sense(name)
+            sense = self.concrete_sense(name)
             if sense is None:
                 return None
             kinds = list(self._wordnet.kinds(sense))
@@ -65,11 +65,14 @@ class Hypernyms:
             return OntologyClass(name, (Category.METRIC_OBSTACLE,), listed=False, known_by=because)
         return OntologyClass(name, known.categories, known.radius_m, known.mobile, False, f"WordNet: {known.name}")
 
-    def _concrete_sense(self, name):
+    def concrete_sense(self, name: str) -> Optional[int]:
         """Find the first concrete sense; before one that lives and that no text was found to use, comes a thing.
 
         A printer, a monitor and a crane in a room are seldom the person or the bird of that name; nor are the blind
         people, so that groups come last.
+
+        Raises:
+            OntologyError: WordNet cannot be read, or is damaged.
         """
         for form in self._wordnet.singular_forms(name):
             used, senses = self._wordnet.used_senses(form), self._wordnet.senses(form)

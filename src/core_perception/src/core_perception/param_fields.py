@@ -12,6 +12,7 @@ from typing import Callable
 from core_perception.exceptions import ParameterError, PerceptionError
 from core_perception.predicates import canonical_class_name, parse_predicate
 from core_perception.prompt import check_sentence
+from core_perception.segmenters.class_map import ClassMap
 
 
 def number(default: float, low: float = -math.inf, high: float = math.inf, above: bool = False):
@@ -110,6 +111,18 @@ def class_names():
         return tuple(canonical_class_name(name) for name in value)
 
     return field(default=(), metadata={"read": read, "allowed": "a list of class names such as [traffic_cone]"})
+
+
+def class_map():
+    """Field of what the values of an image of class ids mean: a list of texts VALUE=CLASS."""
+
+    def read(value):
+        if not isinstance(value, (list, tuple)) or not all(isinstance(entry, str) for entry in value):
+            raise ValueError
+        ClassMap.parse(value)
+        return tuple(value)
+
+    return field(default=(), metadata={"read": read, "allowed": "a list such as ['11=person', '255=none']"})
 
 
 def read_parameters(cls: Callable, values: dict):

@@ -9,6 +9,7 @@ from typing import Tuple
 from core_perception.exceptions import ParameterError
 from core_perception.param_fields import (
     choice,
+    class_map,
     class_names,
     flag,
     number,
@@ -23,6 +24,7 @@ from core_perception.param_fields import (
 REASONERS = ("ontology", "auto", "ollama", "openai", "static", "oracle", "emulated", "scripted", "replay", "none")
 #: Of these an answer is there at once: where none comes, the chain is broken.
 PROMPT_REASONERS = ("ontology", "static", "oracle", "none")
+SEGMENTERS = ("simulated", "remote", "topic", "replay")
 
 
 @dataclass(frozen=True)
@@ -134,36 +136,79 @@ class ReasonerParams:
 
 @dataclass(frozen=True)
 class SegmenterParams:
-    """Parameters of segmenter.
+    """Parameters of segmenter; README.md says which belong to which segmenter.
 
     Attributes:
         segmenter: which one answers; ``simulated`` reads the ground truth of the simulator.
         lockstep: wait for the constraints of the frame instead of taking the newest.
         ontology_file: class list; empty means the package's own.
+        wordnet_dir: folder of WordNet's noun files; empty means that of Debian's wordnet-base.
         miss_rate: probability that an instance is missed in a frame.
+        false_positive_rate: probability of one instance in a frame that is not there.
         pixel_drop_rate: share of the pixels of a mask that are dropped.
         erode_px: width by which masks are eroded [px].
+        dilate_px: width by which they are dilated, after that [px].
+        boundary_noise_px: largest distance by which their edges wander [px].
+        latency_s: declared sim latency of the simulated segmenter, one frame at a time [s]; not under lock-step, where
+            the world waits for the labels of every frame.
         missed_classes: classes that are never found.
-        seed: seed of the random errors and of the label numbers.
+        seed: seed of the random errors, of the label numbers and of the pauses after failures.
+        server_url: address of the side-car.
+        allowed_hosts_file: list of other hosts that may be asked; empty means none.
+        allow_remote_images: images may leave this machine.
+        deadline_s: longest time of one request in all [s].
+        min_score: weaker instances of the side-car are left out.
+        max_classes: most classes of one request; 0 for as many as the side-car takes.
+        image_format: how the image is sent.
+        image_max_px: longest edge of the image that is sent.
+        class_map: meaning of the values of an image of class ids, such as ``11=person`` or ``255=none``; empty where
+            label images come with their infos.
+        record_dir: every answer is written here, for replay; empty means none.
+        replay_dir: recording that replay answers from.
+        replay_by: a frame is found by its stamp, or by the hash of its image.
     """
 
-    segmenter: str = choice("simulated", "simulated")
+    segmenter: str = choice("simulated", *SEGMENTERS)
     lockstep: bool = flag(False)
     ontology_file: str = path("", "the path of an ontology, or empty for the package's own")
+    wordnet_dir: str = path("", "the path of a folder with index.noun and data.noun, or empty for Debian's")
     miss_rate: float = number(0.0, 0.0, 1.0)
+    false_positive_rate: float = number(0.0, 0.0, 1.0)
     pixel_drop_rate: float = number(0.0, 0.0, 1.0)
     erode_px: int = whole(0, 0, 50)
+    dilate_px: int = whole(0, 0, 50)
+    boundary_noise_px: int = whole(0, 0, 50)
+    latency_s: float = number(0.0, 0.0, 60.0)
     missed_classes: Tuple[str, ...] = class_names()
     seed: int = whole(0, 0, 2**31 - 1)
+    server_url: str = text("http://127.0.0.1:8092", "an address such as http://127.0.0.1:8092")
+    allowed_hosts_file: str = path("", "the path of a list of hosts, or empty")
+    allow_remote_images: bool = flag(False)
+    deadline_s: float = number(2.0, 0.1, 60.0)
+    min_score: float = number(0.5, 0.0, 1.0)
+    max_classes: int = whole(0, 0, 10000)
+    image_format: str = choice("jpeg", "jpeg", "png")
+    image_max_px: int = whole(1024, 64, 4096)
+    class_map: Tuple[str, ...] = class_map()
+    record_dir: str = path("", "the path of a folder, or empty")
+    replay_dir: str = path("", "the path of a recording, or empty")
+    replay_by: str = choice("stamp", "stamp", "hash")
 
     @classmethod
     def from_dict(cls, values: dict) -> SegmenterParams:
         """Read a parameter dictionary.
 
         Raises:
-            ParameterError: unknown key, wrong type or value out of range.
+            ParameterError: unknown key, wrong type, value out of range, or a value that the chosen segmenter lacks or
+                cannot honour.
         """
-        return read_parameters(cls, values)
+        params = read_parameters(cls, values)
+        if params.segmenter == "replay" and not params.replay_dir:
+            raise ParameterError("replay_dir", params.replay_dir, "the path of a recording with segmenter replay")
+        if params.lockstep and params.latency_s > 0.0:
+            allowed = "0 with lockstep, where the world waits for the labels of every frame"
+            raise ParameterError("latency_s", params.latency_s, allowed)
+        return params
 
 
 @dataclass(frozen=True)

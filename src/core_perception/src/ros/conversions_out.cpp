@@ -7,17 +7,17 @@
 namespace core_perception {
 namespace {
 
-nav_msgs::OccupancyGrid makeOccupancyGrid(const SafetyGrid& grid, const std_msgs::Header& header) {
+nav_msgs::OccupancyGrid makeOccupancyGrid(const GridFrame& frame, const std_msgs::Header& header) {
   nav_msgs::OccupancyGrid message;
   message.header = header;
   message.info.map_load_time = header.stamp;
-  message.info.resolution = static_cast<float>(grid.frame.resolution_m);
-  message.info.width = static_cast<uint32_t>(grid.frame.width);
-  message.info.height = static_cast<uint32_t>(grid.frame.height);
-  message.info.origin.position.x = grid.frame.origin.x * grid.frame.resolution_m;
-  message.info.origin.position.y = grid.frame.origin.y * grid.frame.resolution_m;
+  message.info.resolution = static_cast<float>(frame.resolution_m);
+  message.info.width = static_cast<uint32_t>(frame.width);
+  message.info.height = static_cast<uint32_t>(frame.height);
+  message.info.origin.position.x = frame.origin.x * frame.resolution_m;
+  message.info.origin.position.y = frame.origin.y * frame.resolution_m;
   message.info.origin.orientation.w = 1.0;
-  message.data.resize(grid.state.size(), -1);
+  message.data.resize(static_cast<size_t>(frame.width) * frame.height, -1);
   return message;
 }
 
@@ -88,7 +88,7 @@ core_msgs::InstanceArray instancesToMessage(const std::vector<HeldInstance>& ins
 
 nav_msgs::OccupancyGrid probabilityToMessage(const SafetyGrid& grid,
                                              const std_msgs::Header& header) {
-  nav_msgs::OccupancyGrid message = makeOccupancyGrid(grid, header);
+  nav_msgs::OccupancyGrid message = makeOccupancyGrid(grid.frame, header);
   for (size_t i = 0; i < grid.state.size(); ++i) {
     const double total = static_cast<double>(grid.n_safe[i]) + grid.n_unsafe[i];
     const bool region = grid.cause[i] != kNoCause && grid.causes[grid.cause[i]].instance_id != 0;
@@ -102,7 +102,7 @@ nav_msgs::OccupancyGrid probabilityToMessage(const SafetyGrid& grid,
 }
 
 nav_msgs::OccupancyGrid decisionToMessage(const SafetyGrid& grid, const std_msgs::Header& header) {
-  nav_msgs::OccupancyGrid message = makeOccupancyGrid(grid, header);
+  nav_msgs::OccupancyGrid message = makeOccupancyGrid(grid.frame, header);
   for (size_t i = 0; i < grid.state.size(); ++i) {
     if (grid.state[i] != CellState::kUnknown)
       message.data[i] = grid.state[i] == CellState::kUnsafe ? 100 : 0;
@@ -111,14 +111,78 @@ nav_msgs::OccupancyGrid decisionToMessage(const SafetyGrid& grid, const std_msgs
 }
 
 octomap_msgs::Octomap octomapToMessage(WireFormat format, const std_msgs::Header& header,
-                                       SemanticOcTree* tree) {
+                                       const TreeSnapshot& snapshot) {
   octomap_msgs::Octomap message;
   message.header = header;
   message.binary = format == WireFormat::kBinary;
   message.id = idOf(format);
-  message.resolution = tree->getResolution();
-  message.data = serialise(format, tree);
+  message.resolution = snapshot.resolution_m;
+  message.data = serialise(format, snapshot);
   return message;
+}
+
+sensor_msgs::PointCloud2 centersToMessage(const std_msgs::Header& header,
+                                          const TreeSnapshot& snapshot) {
+  constexpr int kKeyOffset = 32768;  // OctoMap's key of coordinate 0
+  std::vector<float> xyz;
+  forEachLeaf(snapshot, [&](const SnapshotLeaf& leaf) {
+    if (!leaf.isUnsafe()) return;
+    for (unsigned axis = 0; axis < 3; ++axis) {
+      const double index = leaf.lowest[axis] - kKeyOffset + 0.5 * leaf.edge();
+      xyz.push_back(static_cast<float>(index * snapshot.resolution_m));
+    }
+  });
+  sensor_msgs::PointCloud2 message;
+  message.header = header;
+  message.height = 1;
+  message.width = static_cast<uint32_t>(xyz.size() / 3);
+  for (const char* name : {"x", "y", "z"}) {
+    sensor_msgs::PointField field;
+    field.name = name;
+    field.offset = static_cast<uint32_t>(4 * message.fields.size());
+    field.datatype = sensor_msgs::PointField::FLOAT32;
+    field.count = 1;
+    message.fields.push_back(field);
+  }
+  message.point_step = 12;
+  message.row_step = message.point_step * message.width;
+  const auto* bytes = reinterpret_cast<const uint8_t*>(xyz.data());
+  message.data.assign(bytes, bytes + 4 * xyz.size());
+  message.is_dense = true;
+  return message;
+}
+
+nav_msgs::OccupancyGrid groundPlanToMessage(const GroundPlan& plan,
+                                            const std_msgs::Header& header) {
+  nav_msgs::OccupancyGrid message = makeOccupancyGrid(plan.frame, header);
+  message.data = plan.cells;
+  return message;
+}
+
+map_msgs::OccupancyGridUpdate makeUpdate(const nav_msgs::OccupancyGrid& before,
+                                         const nav_msgs::OccupancyGrid& after) {
+  const int width = static_cast<int>(after.info.width);
+  int x_min = width, x_max = -1, y_min = static_cast<int>(after.info.height), y_max = -1;
+  for (size_t i = 0; i < after.data.size(); ++i) {
+    if (after.data[i] == before.data[i]) continue;
+    const int x = static_cast<int>(i) % width, y = static_cast<int>(i) / width;
+    x_min = std::min(x_min, x);
+    x_max = std::max(x_max, x);
+    y_min = std::min(y_min, y);
+    y_max = std::max(y_max, y);
+  }
+  map_msgs::OccupancyGridUpdate update;
+  update.header = after.header;
+  if (x_max < 0) return update;
+  update.x = x_min;
+  update.y = y_min;
+  update.width = static_cast<uint32_t>(x_max - x_min + 1);
+  update.height = static_cast<uint32_t>(y_max - y_min + 1);
+  for (int y = y_min; y <= y_max; ++y) {
+    const auto row = after.data.begin() + static_cast<long>(y) * width;
+    update.data.insert(update.data.end(), row + x_min, row + x_max + 1);
+  }
+  return update;
 }
 
 }  // namespace core_perception

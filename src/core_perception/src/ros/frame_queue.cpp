@@ -9,6 +9,7 @@ namespace {
 
 template <typename Message>
 void insert(const Message& message, size_t most, std::map<ros::Time, Message>* all) {
+  if (!isUsable(message->header.stamp)) return;  // differences of such stamps throw
   (*all)[message->header.stamp] = message;
   while (all->size() > most) all->erase(all->begin());
 }

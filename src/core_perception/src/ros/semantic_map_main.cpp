@@ -2,12 +2,14 @@
 #include <ros/ros.h>
 
 #include <cstdio>
+#include <opencv2/core.hpp>
 
 #include "core_perception/exceptions.h"
 #include "core_perception/ros/semantic_map_node.h"
 
 int main(int argc, char** argv) {
   ros::init(argc, argv, "semantic_map");
+  cv::setNumThreads(1);             // images this small are slower on several
   ros::NodeHandle private_nh("~");  // keeps the node alive until main returns
   try {
     XmlRpc::XmlRpcValue values;

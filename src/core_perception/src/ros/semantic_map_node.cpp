@@ -7,6 +7,7 @@
 #include <algorithm>
 
 #include "core_perception/exceptions.h"
+#include "core_perception/saved_map.h"
 
 namespace core_perception {
 namespace {
@@ -29,6 +30,12 @@ SemanticMapNode::SemanticMapNode(const NodeParams& params)
       queue_(params.lockstep, params.slop_s, params.queue_size),
       tf_(ros::Duration(kTfCache_s)) {
   tf_.setUsingDedicatedThread(true);  // look-ups below never wait
+  if (!params.map_file.empty()) {
+    map_.load(*readSavedMap(params.map_file, params.map.resolution_m));
+    ++n_changes_;
+  }
+  outputs_ = std::make_unique<OctomapOutputs>(
+      params, [this] { return takeSnapshot(); }, [this] { return countChanges(); });
   advertise();
   subscribe();
 }
@@ -37,27 +44,15 @@ void SemanticMapNode::advertise() {
   const bool latch = params_.lockstep;
   grid_pub_ = nh_.advertise<core_msgs::SafetyGrid>("safety_grid", 10, latch);
   instances_pub_ = nh_.advertise<core_msgs::InstanceArray>("semantic_map/instances", 10, latch);
-  probability_pub_ = nh_.advertise<nav_msgs::OccupancyGrid>("semantic_map/probability", 10, latch);
-  unsafe_pub_ = nh_.advertise<nav_msgs::OccupancyGrid>("semantic_map/unsafe", 10, latch);
+  const auto makeGridPublisher = [&](const char* topic) {
+    return std::make_unique<GridPublisher>(&nh_, topic, latch, params_.grid_period_s);
+  };
+  probability_pub_ = makeGridPublisher("semantic_map/probability");
+  unsafe_pub_ = makeGridPublisher("semantic_map/unsafe");
   diagnostics_pub_ = nh_.advertise<diagnostic_msgs::DiagnosticArray>("diagnostics", 10);
-  const std::pair<WireFormat, const char*> topics[] = {{WireFormat::kFull, "octomap_full"},
-                                                       {WireFormat::kBinary, "octomap_binary"},
-                                                       {WireFormat::kColor, "octomap_color"},
-                                                       {WireFormat::kSemantic, "semantic_octomap"}};
-  for (const auto& topic : topics) {
-    octomap_pubs_[topic.first] = nh_.advertise<octomap_msgs::Octomap>(topic.second, 1, true);
-  }
   services_.push_back(nh_.advertiseService("semantic_map/reset", &SemanticMapNode::onReset, this));
-  using Request = octomap_msgs::GetOctomap::Request;
-  using Response = octomap_msgs::GetOctomap::Response;
-  for (const WireFormat format : {WireFormat::kFull, WireFormat::kBinary}) {
-    const boost::function<bool(Request&, Response&)> answer =
-        [this, format](Request&, Response& response) { return onGetOctomap(format, &response); };
-    services_.push_back(nh_.advertiseService(
-        format == WireFormat::kFull ? "octomap_full" : "octomap_binary", answer));
-  }
-  timers_.push_back(nh_.createWallTimer(ros::WallDuration(params_.octomap_period_s),
-                                        &SemanticMapNode::publishOctomaps, this));
+  services_.push_back(
+      nh_.advertiseService("semantic_map/clear_bbx", &SemanticMapNode::onClearBox, this));
   timers_.push_back(
       nh_.createWallTimer(ros::WallDuration(1.0), &SemanticMapNode::publishDiagnostics, this));
 }
@@ -100,8 +95,9 @@ void SemanticMapNode::subscribe() {
 
 template <typename Message>
 bool SemanticMapNode::hasStamp(const Message& message, const char* what) {
-  if (!message.header.stamp.isZero()) return true;
-  reject("stamp_invalid", std::string(what) + " has stamp 0");
+  if (isUsable(message.header.stamp)) return true;
+  reject("stamp_invalid",
+         std::string(what) + " has a stamp that is 0, beyond 2^31 s or not normalised");
   return false;
 }
 
@@ -119,6 +115,11 @@ double SemanticMapNode::longestStepBack() const { return params_.lockstep ? 0.0 
 
 void SemanticMapNode::onTf(const tf2_msgs::TFMessage& message, bool is_static) {
   for (const geometry_msgs::TransformStamped& transform : message.transforms) {
+    if (!is_static && !isUsable(transform.header.stamp)) {  // tf2's arithmetic would throw
+      ROS_WARN_THROTTLE(5.0, "semantic_map: a transform to '%s' has an unusable stamp",
+                        toPrintable(transform.child_frame_id).c_str());
+      continue;
+    }
     if (!is_static) {
       const double back_s = (tf_stamps_[transform.child_frame_id] - transform.header.stamp).toSec();
       // After the clock was set back the buffer would refuse transforms as too old. Static ones
@@ -151,12 +152,18 @@ void SemanticMapNode::processQueue() {
 bool SemanticMapNode::process(const FrameMessages& messages) {
   const ros::WallTime start = ros::WallTime::now();
   try {
-    Frame frame = frameFromMessages(messages, params_.ignore_distortion);
+    Frame frame = frameFromMessages(messages, params_.ignore_distortion,
+                                    params_.rectify ? &rectifier_ : nullptr);
     const Constraints constraints = constraintsFromMessage(messages.constraints);
     if (!lookUpPose(messages.depth->header, &frame)) return false;
-    map_.update(frame, constraints);
-    std_msgs::Header header = mapHeader();
-    header.stamp = messages.depth->header.stamp;
+    std_msgs::Header header = messages.depth->header;
+    header.frame_id = params_.map_frame;
+    {
+      const std::lock_guard<std::mutex> lock(map_mutex_);
+      map_.update(frame, constraints);
+      map_stamp_ = header.stamp;
+      ++n_changes_;
+    }
     const bool heeded = params_.map.semantics && messages.constraints != nullptr;
     publish(header, heeded ? messages.constraints->image_stamp : ros::Time());
     ++n_frames_;
@@ -171,7 +178,7 @@ bool SemanticMapNode::process(const FrameMessages& messages) {
 bool SemanticMapNode::lookUpPose(const std_msgs::Header& header, Frame* frame) {
   try {
     frame->T_map_camera = tf2::transformToEigen(
-        tf_.lookupTransform(params_.map_frame, header.frame_id, header.stamp));
+        tf_.lookupTransform(params_.map_frame, stripSlash(header.frame_id), header.stamp));
     const Eigen::Isometry3d base = tf2::transformToEigen(
         tf_.lookupTransform(params_.map_frame, params_.base_frame, header.stamp));
     frame->p_map_base = Point2{base.translation().x(), base.translation().y()};
@@ -192,30 +199,38 @@ void SemanticMapNode::publish(const std_msgs::Header& header, const ros::Time& c
       instancesToMessage(map_.instances(), map_.predicates(), header);
   instances.history_start = history_start_;
   instances_pub_.publish(instances);
-  const bool latch = params_.lockstep;
-  if (latch || probability_pub_.getNumSubscribers() > 0)
-    probability_pub_.publish(probabilityToMessage(grid, header));
-  if (latch || unsafe_pub_.getNumSubscribers() > 0)
-    unsafe_pub_.publish(decisionToMessage(grid, header));
+  if (probability_pub_->isWanted()) probability_pub_->publish(probabilityToMessage(grid, header));
+  if (unsafe_pub_->isWanted()) unsafe_pub_->publish(decisionToMessage(grid, header));
 }
 
-std_msgs::Header SemanticMapNode::mapHeader() const {
-  std_msgs::Header header;
-  header.stamp = last_frame_;
-  header.frame_id = params_.map_frame;
-  return header;
-}
-
-void SemanticMapNode::publishOctomaps(const ros::WallTimerEvent&) {
-  for (auto& entry : octomap_pubs_) {
-    const bool changed = octomap_versions_[entry.first] != map_.votes().version();
-    if (entry.second.getNumSubscribers() == 0 || !changed) continue;
-    octomap_versions_[entry.first] = map_.votes().version();
-    entry.second.publish(octomapToMessage(entry.first, mapHeader(), &map_.votes().tree()));
+MapSnapshot SemanticMapNode::takeSnapshot() {
+  MapSnapshot snapshot;
+  const std::lock_guard<std::mutex> lock(map_mutex_);
+  const ros::WallTime start = ros::WallTime::now();
+  const SemanticMapParams& params = params_.map;
+  snapshot.header.stamp = map_stamp_;
+  snapshot.header.frame_id = params_.map_frame;
+  snapshot.tree = taker_.take(&map_.votes().tree());
+  snapshot.band = HeightBand{map_.votes().bandMin(), map_.votes().bandMax()};
+  if (!params.usesImageOperators()) {
+    snapshot.regions =
+        buildRegions(map_.instances(), map_.predicates(), params.instance, params.resolution_m);
   }
+  snapshot_ms_ = std::max(snapshot_ms_, (ros::WallTime::now() - start).toSec() * 1e3);
+  return snapshot;
+}
+
+uint64_t SemanticMapNode::countChanges() {
+  const std::lock_guard<std::mutex> lock(map_mutex_);
+  return n_changes_;
 }
 
 void SemanticMapNode::publishDiagnostics(const ros::WallTimerEvent&) {
+  double slowest_snapshot_ms = 0.0;
+  {
+    const std::lock_guard<std::mutex> lock(map_mutex_);
+    std::swap(slowest_snapshot_ms, snapshot_ms_);
+  }
   diagnostic_msgs::DiagnosticArray array;
   array.header.stamp = ros::Time::now();
   diagnostic_msgs::DiagnosticStatus status;
@@ -232,7 +247,8 @@ void SemanticMapNode::publishDiagnostics(const ros::WallTimerEvent&) {
                    makeEntry("instances", std::to_string(map_.instances().size())),
                    makeEntry("octree_nodes", std::to_string(map_.votes().tree().size())),
                    makeEntry("update_ms", std::to_string(update_ms_)),
-                   makeEntry("slowest_update_ms", std::to_string(slowest_update_ms_))};
+                   makeEntry("slowest_update_ms", std::to_string(slowest_update_ms_)),
+                   makeEntry("slowest_snapshot_ms", std::to_string(slowest_snapshot_ms))};
   array.status.push_back(status);
   diagnostics_pub_.publish(array);
   last_rejection_.clear();
@@ -257,15 +273,27 @@ bool SemanticMapNode::onReset(std_srvs::Empty::Request&, std_srvs::Empty::Respon
   return true;
 }
 
-void SemanticMapNode::forget() {
-  map_.clear();
-  history_start_ = ros::Time();
+bool SemanticMapNode::onClearBox(octomap_msgs::BoundingBoxQuery::Request& request,
+                                 octomap_msgs::BoundingBoxQuery::Response&) {
+  const Eigen::Vector3d lowest(request.min.x, request.min.y, request.min.z);
+  const Eigen::Vector3d highest(request.max.x, request.max.y, request.max.z);
+  if (!(lowest.array() <= highest.array()).all()) {  // false for NaN
+    ROS_ERROR("semantic_map: clear_bbx: allowed min <= max, and numbers");
+    return false;
+  }
+  const std::lock_guard<std::mutex> lock(map_mutex_);
+  if (!map_.clearBox(lowest, highest)) return true;
+  history_start_ = ros::Time();  // a new one begins with the next frame
+  ++n_changes_;
+  ROS_WARN("semantic_map: a part of the map was cleared; the filter waits for cbf_filter/reset");
+  return true;
 }
 
-bool SemanticMapNode::onGetOctomap(WireFormat format,
-                                   octomap_msgs::GetOctomap::Response* response) {
-  response->map = octomapToMessage(format, mapHeader(), &map_.votes().tree());
-  return true;
+void SemanticMapNode::forget() {
+  const std::lock_guard<std::mutex> lock(map_mutex_);
+  map_.clear();
+  map_stamp_ = history_start_ = ros::Time();
+  ++n_changes_;
 }
 
 }  // namespace core_perception

@@ -73,8 +73,8 @@ class BridgePublishers:
         self._color.publish(to.image_to_msg(frame.color, header))
         self._depth.publish(to.image_to_msg(frame.depth_m, header))
         self._labels.publish(to.image_to_msg(frame.labels, header))
-        classes = self._simulation.classes_in(frame)
-        self._label_info.publish(to.label_info_to_msg(classes, self._simulation.class_names, header))
+        names = self._simulation.names_in(frame)
+        self._label_info.publish(to.label_info_to_msg(names, self._simulation.class_names, header))
 
     def publish_tick(self, tick: int) -> None:
         """The tick that everything published since the last one belongs to."""

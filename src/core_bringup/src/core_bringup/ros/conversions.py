@@ -70,15 +70,18 @@ def camera_info_to_msg(camera: CameraModel, header: Header) -> CameraInfo:
     return info
 
 
-def label_info_to_msg(classes: Dict[int, str], evaluated: Sequence[str], header: Header) -> LabelInfo:
-    """classes: label id -> class name of what the image shows; evaluated: every class of the world."""
-    labels = [LabelClass(label, name, 1.0) for label, name in sorted(classes.items())]
+def label_info_to_msg(names: Dict[int, Sequence[str]], evaluated: Sequence[str], header: Header) -> LabelInfo:
+    """names: label id -> class name of what the image shows, then its aliases; evaluated: every class of the world."""
+    labels = [LabelClass(label, name, 1.0) for label in sorted(names) for name in names[label]]
     return LabelInfo(header, labels, list(evaluated))
 
 
-def label_info_from_msg(message: LabelInfo) -> Tuple[Dict[int, str], Tuple[str, ...]]:
+def label_info_from_msg(message: LabelInfo) -> Tuple[Dict[int, Tuple[str, ...]], Tuple[str, ...]]:
     """The inverse of label_info_to_msg; scores are dropped."""
-    return {label.id: label.class_name for label in message.labels}, tuple(message.classes_evaluated)
+    names: Dict[int, Tuple[str, ...]] = {}
+    for label in message.labels:
+        names[label.id] = (*names.get(label.id, ()), label.class_name)
+    return names, tuple(message.classes_evaluated)
 
 
 def odometry_to_msg(state: RobotState, header: Header, child_frame_id: str) -> Odometry:

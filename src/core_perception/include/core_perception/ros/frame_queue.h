@@ -19,6 +19,7 @@ class FrameQueue {
   FrameQueue(bool lockstep, double slop_s, int size)
       : lockstep_(lockstep), slop_s_(slop_s), size_(size) {}
 
+  /// A message whose stamp is not usable (see isUsable) is left out.
   void add(const sensor_msgs::ImageConstPtr& image, bool is_depth);
   void add(const sensor_msgs::CameraInfoConstPtr& info);
   void add(const core_msgs::LabelInfoConstPtr& info);

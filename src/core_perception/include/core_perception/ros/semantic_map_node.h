@@ -1,24 +1,32 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <octomap_msgs/GetOctomap.h>
+#include <octomap_msgs/BoundingBoxQuery.h>
 #include <ros/ros.h>
 #include <std_srvs/Empty.h>
 #include <tf2_msgs/TFMessage.h>
 #include <tf2_ros/buffer.h>
 
 #include <map>
+#include <memory>
+#include <mutex>
 #include <string>
+#include <vector>
 
 #include "core_perception/params.h"
+#include "core_perception/rectification.h"
 #include "core_perception/ros/frame_queue.h"
+#include "core_perception/ros/grid_publisher.h"
+#include "core_perception/ros/octomap_outputs.h"
 #include "core_perception/semantic_map.h"
 
 namespace core_perception {
 
-/// Shell of SemanticMap: converts, calls, publishes. Driven by messages alone; single-threaded.
+/// Shell of SemanticMap: converts, calls, publishes. Driven by messages alone, in one thread; the
+/// 3-D outputs have a thread of their own, which takes a snapshot under a lock.
 class SemanticMapNode {
  public:
+  /// @throws ParameterError map_file cannot be used.
   explicit SemanticMapNode(const NodeParams& params);
 
  private:
@@ -36,34 +44,40 @@ class SemanticMapNode {
   bool process(const FrameMessages& messages);
   bool lookUpPose(const std_msgs::Header& header, Frame* frame);
   void publish(const std_msgs::Header& header, const ros::Time& constraints_stamp);
-  void publishOctomaps(const ros::WallTimerEvent& event);
   void publishDiagnostics(const ros::WallTimerEvent& event);
   void reject(const std::string& reason, const std::string& detail);
   void flush(const ros::Time& stamp);
   void forget();
   bool onReset(std_srvs::Empty::Request& request, std_srvs::Empty::Response& response);
-  bool onGetOctomap(WireFormat format, octomap_msgs::GetOctomap::Response* response);
-  std_msgs::Header mapHeader() const;
+  bool onClearBox(octomap_msgs::BoundingBoxQuery::Request& request,
+                  octomap_msgs::BoundingBoxQuery::Response& response);
+  MapSnapshot takeSnapshot();
+  uint64_t countChanges();
 
   NodeParams params_;
   ros::NodeHandle nh_;
   SemanticMap map_;
+  std::mutex map_mutex_;  ///< of map_, taker_, map_stamp_ and n_changes_
+  SnapshotTaker taker_;
+  ros::Time map_stamp_;  ///< of the newest frame in the map
+  uint64_t n_changes_ = 0;
+  Rectifier rectifier_;
   FrameQueue queue_;
   tf2_ros::Buffer tf_;
   std::map<std::string, ros::Time> tf_stamps_;  ///< newest by child frame
   ros::Time last_depth_, last_frame_;
   ros::Time history_start_;  ///< stamp of the first frame since the map was empty; zero before it
 
-  ros::Publisher grid_pub_, instances_pub_, probability_pub_, unsafe_pub_, diagnostics_pub_;
-  std::map<WireFormat, ros::Publisher> octomap_pubs_;
-  std::map<WireFormat, uint64_t> octomap_versions_;
+  ros::Publisher grid_pub_, instances_pub_, diagnostics_pub_;
+  std::unique_ptr<GridPublisher> probability_pub_, unsafe_pub_;
   std::vector<ros::Subscriber> subscribers_;
   std::vector<ros::ServiceServer> services_;
   std::vector<ros::WallTimer> timers_;
 
   uint64_t n_frames_ = 0, n_rejected_ = 0, n_dropped_ = 0;
   std::string last_rejection_;  ///< since the last diagnostics
-  double update_ms_ = 0.0, slowest_update_ms_ = 0.0;
+  double update_ms_ = 0.0, slowest_update_ms_ = 0.0, snapshot_ms_ = 0.0;
+  std::unique_ptr<OctomapOutputs> outputs_;  ///< last: its thread ends before what it reads goes
 };
 
 }  // namespace core_perception

@@ -16,11 +16,9 @@ Only with ``keep_images`` the pixels are kept, as ``images/<image_sha256>.png``.
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import math
-import os
 import threading
 from collections import defaultdict
 from pathlib import Path
@@ -29,8 +27,9 @@ from typing import Dict, List, Optional, Tuple, Union
 import cv2
 import numpy as np
 
-from core_perception.exceptions import PerceptionError, ServerError
+from core_perception.exceptions import ServerError
 from core_perception.reasoners.wire import ModelReply
+from core_perception.record_file import RecordFile, load_lines
 
 FORMAT_VERSION = 1
 FILE_NAME = "replies.jsonl"
@@ -78,25 +77,7 @@ class RecordingClient:
         self._names = {"model": model, "wire": wire}
         self._keep_images = keep_images
         self._lock = threading.Lock()
-        path = self._directory / FILE_NAME
-        try:
-            self._directory.mkdir(parents=True, exist_ok=True)
-            self._file = os.open(str(path), os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
-        except OSError as error:
-            raise PerceptionError(f"{path}: cannot be written: {error.strerror}") from error
-        self._is_open = True
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            content = path.read_bytes()
-            _read_recording(path, content)
-            os.ftruncate(self._file, content.rfind(b"\n") + 1)
-        except (OSError, PerceptionError) as error:
-            os.close(self._file)
-            if isinstance(error, BlockingIOError):
-                raise PerceptionError(f"{path}: another process is recording into it") from error
-            if isinstance(error, OSError):
-                raise PerceptionError(f"{path}: cannot be read: {error.strerror}") from error
-            raise
+        self._record = RecordFile(self._directory / FILE_NAME, _read_line)
 
     def ask(self, system, user, image_rgb, schema, seed=None, temperature=None) -> ModelReply:
         """Ask the client and write its reply or failure down before handing it on.
@@ -120,22 +101,20 @@ class RecordingClient:
     def close(self) -> None:
         """Abort the client's running ask, which is then not recorded, and end the recording."""
         with self._lock:
-            if self._is_open:
-                os.close(self._file)
-                self._is_open = False
+            self._record.close()
         self._client.close()
 
     def _write(self, key: Key, image_rgb, entry, latency_s) -> None:
         common = {"format_version": FORMAT_VERSION, "image_sha256": key[0], "prompt_sha256": key[1], **self._names}
         line = json.dumps({**common, "latency_s": latency_s, **entry}).encode()
         with self._lock:
-            if not self._is_open:
+            if not self._record.is_open:
                 return
             try:
                 _read_line(line)  # one line that cannot be read would make the whole recording useless
                 if self._keep_images and image_rgb is not None:
                     _keep_image(self._directory / "images" / f"{key[0]}.png", image_rgb)
-                _append(self._file, line + b"\n")
+                self._record.append(line)
             except (OSError, ValueError, cv2.error) as error:
                 raise ServerError("record_failed", f"{self._directory}: {error}", latency_s) from error
 
@@ -153,17 +132,12 @@ class ReplayClient:
         Raises:
             PerceptionError: no recording there, or a line that is damaged; the message names file and line.
         """
-        path = Path(directory) / FILE_NAME
-        try:
-            content = path.read_bytes()
-        except OSError as error:
-            raise PerceptionError(f"{path}: cannot be read: {error.strerror}") from error
+        recorded, self._torn_lines = load_lines(Path(directory) / FILE_NAME, _read_line)
         self._outcomes: Dict[Key, List[Outcome]] = defaultdict(list)
-        for key, outcome in _read_recording(path, content):
+        for key, outcome in recorded:
             self._outcomes[key].append(outcome)
         self._images = {key[0] for key in self._outcomes}
         self._asked: Dict[Key, int] = defaultdict(int)
-        self._torn_lines = int(not content.endswith(b"\n") and content != b"")
 
     @property
     def torn_lines(self) -> int:
@@ -196,18 +170,6 @@ class ReplayClient:
 Outcome = Union[ModelReply, Tuple[str, str, float]]
 
 
-def _append(file: int, line: bytes) -> None:
-    """Write a whole line or nothing."""
-    start = os.fstat(file).st_size
-    try:
-        rest = line
-        while rest:
-            rest = rest[os.write(file, rest) :]
-    except OSError:
-        os.ftruncate(file, start)
-        raise
-
-
 def _keep_image(path: Path, image_rgb) -> None:
     if image_rgb.dtype != np.uint8 or image_rgb.ndim != 3 or image_rgb.shape[2] != 3:
         raise ValueError(f"image: got {image_rgb.dtype} {image_rgb.shape}, allowed uint8 (h, w, 3)")
@@ -217,19 +179,6 @@ def _keep_image(path: Path, image_rgb) -> None:
     partial = path.with_suffix(".part")
     partial.write_bytes(cv2.imencode(".png", cv2.cvtColor(image_rgb, cv2.COLOR_RGB2BGR))[1].tobytes())
     partial.replace(path)
-
-
-def _read_recording(path: Path, content: bytes) -> List[Tuple[Key, Outcome]]:
-    """Read all whole lines; what follows the last end of line was torn off while it was written."""
-    *lines, _torn = content.split(b"\n")
-    return [_read_numbered(path, number, line) for number, line in enumerate(lines, start=1)]
-
-
-def _read_numbered(path, number, line):
-    try:
-        return _read_line(line)
-    except (ValueError, RecursionError) as error:
-        raise PerceptionError(f"{path}:{number}: no line of a recording: {error}") from error
 
 
 def _read_line(line: bytes) -> Tuple[Key, Outcome]:

@@ -171,11 +171,6 @@ def segmentation_to_label_info(segmentation: Segmentation, header) -> LabelInfo:
     return LabelInfo(header, labels, list(segmentation.classes_evaluated))
 
 
-def truth_classes(msg: LabelInfo) -> dict:
-    """Ground truth label -> canonical class name."""
-    return {label.id: canonical_class_name(label.class_name) for label in msg.labels}
-
-
 def grid_view(msg) -> GridView:
     """SafetyGrid -> what the overlay needs of it.
 
@@ -211,15 +206,15 @@ def color_to_rgb(msg: Image) -> np.ndarray:
 
 
 def depth_to_m(msg: Image) -> np.ndarray:
-    """Depth image -> (h, w) float32 [m]; NaN where a 16UC1 image (millimetres) holds 0.
+    """Depth image -> (h, w) float32 [m]; NaN where a 16UC1 image (millimetres; some drivers say mono16) holds 0.
 
     Raises:
-        EvidenceError: an encoding other than 32FC1 or 16UC1.
+        EvidenceError: an encoding other than 32FC1, 16UC1 or mono16.
     """
     pixels = image_to_array(msg)
     if msg.encoding == "32FC1":
         return pixels
-    if msg.encoding != "16UC1":
+    if msg.encoding not in ("16UC1", "mono16"):
         raise EvidenceError(f"depth image: got encoding {msg.encoding!r}, allowed 32FC1, 16UC1")
     return np.where(pixels == 0, np.nan, pixels / 1000.0).astype(np.float32)
 
