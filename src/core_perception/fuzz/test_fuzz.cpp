@@ -65,7 +65,7 @@ TEST_P(FuzzTest, no_input_crashes_the_chain_or_breaks_a_promise) {
   std::mt19937 random(readNumber("CORE_SEED", 0));
   Tally tally;
   for (const Input& seed : target.seeds) ASSERT_TRUE(holds(target, seed, &tally));
-  for (uint32_t n = readNumber("CORE_FUZZ_CASES", 300); n > 0; --n) {
+  for (uint32_t n = readNumber("CORE_FUZZ_CASES", 1500); n > 0; --n) {
     const Input input = change(target.seeds[random() % target.seeds.size()], &random);
     ASSERT_TRUE(holds(target, input, &tally));
   }

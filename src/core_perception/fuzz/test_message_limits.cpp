@@ -123,6 +123,30 @@ TEST(MessageLimits, intrinsics_of_another_camera_are_refused) {
   EXPECT_EQ(findReason(frame), "");
   frame.camera_info.header.frame_id = "another_camera";
   EXPECT_EQ(findReason(frame), "frame_id");
+  // As old recordings and careless drivers have them.
+  for (const std::string& same : {std::string(), "/" + frame.depth.header.frame_id}) {
+    frame.camera_info.header.frame_id = same;
+    EXPECT_EQ(findReason(frame), "") << same;
+  }
+}
+
+TEST(MessageLimits, intrinsics_that_are_no_pinhole_camera_are_refused) {
+  constexpr double kInfinity = std::numeric_limits<double>::infinity();
+  const double nothing = std::numeric_limits<double>::quiet_NaN();
+  for (const size_t focal : {0u, 4u}) {
+    for (const double value : {0.0, -0.0, -1.0, -6553.6, -1e300, 1e-300, kInfinity, nothing}) {
+      DrawnFrame frame = makeFrame();
+      frame.camera_info.K[focal] = value;
+      EXPECT_EQ(findReason(frame), "camera_invalid") << "K[" << focal << "] = " << value;
+    }
+  }
+  for (const size_t centre : {2u, 5u}) {
+    for (const double value : {-1e300, 1e300, -500.0, 500.0, kInfinity, -kInfinity, nothing}) {
+      DrawnFrame frame = makeFrame();
+      frame.camera_info.K[centre] = value;
+      EXPECT_EQ(findReason(frame), "camera_invalid") << "K[" << centre << "] = " << value;
+    }
+  }
 }
 
 TEST(MessageLimits, names_that_would_fill_the_memory_are_refused) {

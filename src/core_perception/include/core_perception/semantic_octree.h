@@ -68,7 +68,7 @@ class SemanticOcTree : public octomap::OccupancyOcTreeBase<SemanticOcTreeNode> {
   /// Removes the voxel, with inner nodes that become empty.
   void erase(const octomap::OcTreeKey& key);
   /// As the base's; drops the kept path.
-  void clear();
+  void clear() override;
   void prune() override;
   void expand() override;
   /// As the base's, but the node itself keeps no counts: inner nodes have none.
