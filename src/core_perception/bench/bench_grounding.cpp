@@ -24,6 +24,7 @@
 #include "octomap_insertion.h"
 #include "param_text.h"
 #include "plain_pipeline.h"
+#include "program.h"
 #include "reference_map.h"
 
 namespace core_perception {
@@ -165,7 +166,6 @@ void compareWithReference(const SemanticMapParams& params, const Recording& reco
 
 int run(int argc, char** argv) {
   if (argc < 5 || argc > 6) throw std::runtime_error("see the top of bench_grounding.cpp");
-  cv::setNumThreads(1);
   const SemanticMapParams params = readParams(argv[1]);
   const Recording recording = load(argv[2]);
   const int passes = std::atoi(argv[3]), every = std::atoi(argv[4]);
@@ -188,10 +188,6 @@ int run(int argc, char** argv) {
 }  // namespace core_perception
 
 int main(int argc, char** argv) {
-  try {
-    return core_perception::bench::run(argc, argv);
-  } catch (const std::exception& error) {
-    std::fprintf(stderr, "bench_grounding: %s\n", error.what());
-    return 2;
-  }
+  return core_perception::bench::runProgram("bench_grounding", core_perception::bench::run, argc,
+                                            argv);
 }

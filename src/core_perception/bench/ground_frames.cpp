@@ -29,6 +29,7 @@
 #include "core_perception/semantic_map.h"
 #include "frame_file.h"
 #include "param_text.h"
+#include "program.h"
 
 namespace core_perception {
 namespace bench {
@@ -72,7 +73,6 @@ void writeGrid(int index, double stamp_s, const SafetyGrid& grid, std::ostream* 
 
 int run(int argc, char** argv) {
   if (argc != 5) throw std::runtime_error("see the top of ground_frames.cpp");
-  cv::setNumThreads(1);
   const SemanticMapParams params = readParams(argv[1]);
   FrameFile file(argv[2]);
   const int every = std::atoi(argv[3]);
@@ -96,10 +96,6 @@ int run(int argc, char** argv) {
 }  // namespace core_perception
 
 int main(int argc, char** argv) {
-  try {
-    return core_perception::bench::run(argc, argv);
-  } catch (const std::exception& error) {
-    std::fprintf(stderr, "ground_frames: %s\n", error.what());
-    return 2;
-  }
+  return core_perception::bench::runProgram("ground_frames", core_perception::bench::run, argc,
+                                            argv);
 }

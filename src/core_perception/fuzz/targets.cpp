@@ -4,6 +4,7 @@
 #include <boost/make_shared.hpp>
 #include <random>
 
+#include "../test/scene.h"
 #include "wire.h"
 
 namespace core_perception {
@@ -11,23 +12,6 @@ namespace fuzz {
 namespace {
 
 constexpr double kWindow_m = 8.0;  // a small grid, for more inputs a second
-
-SemanticMapParams makePaperParams() {
-  SemanticMapParams p;
-  p.operators = "image";
-  p.unknown_is_unsafe = false;
-  p.initial_disc_radius_m = 4.0;
-  p.distance = "centre";
-  p.range.range_min_m = 3.0;
-  p.range.tree_min_z_m = p.range.band_min_z_m = -2.0;
-  p.range.tree_max_z_m = p.range.band_max_z_m = 5.0;
-  p.range.depth_edge_ratio = 0.0;
-  p.vote.votes = "pixel";
-  p.vote.column = "sum";
-  p.vote.count_cap = 0;
-  p.vote.metric_layer = p.vote.free_space_clearing = false;
-  return p;
-}
 
 /// Core with some parameters anywhere within their bounds; core where they contradict each other.
 SemanticMapParams drawParams(ByteSource* source) {

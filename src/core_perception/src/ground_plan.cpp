@@ -11,7 +11,7 @@
 namespace core_perception {
 namespace {
 
-constexpr int kKeyOffset = 32768;  // OctoMap's key of coordinate 0
+constexpr int kKeyOffset = SemanticOcTree::kKeyOffset;
 
 /// Indices of cells, both included.
 struct Extent {
@@ -83,13 +83,7 @@ void addLeaf(const BandLeaf& leaf, bool sum, const GridFrame& frame, std::vector
   for (int y = leaf.y; y < leaf.y + leaf.edge; ++y) {
     for (int x = leaf.x; x < leaf.x + leaf.edge; ++x) {
       const size_t i = static_cast<size_t>(y - frame.origin.y) * frame.width + (x - frame.origin.x);
-      Counts& column = (*columns)[i];
-      if (sum) {
-        for (int k = 0; k < leaf.n_layers; ++k)
-          addVotes(leaf.counts.n_safe, leaf.counts.n_unsafe, &column);
-      } else if (column.empty() || isWorse(leaf.counts, column)) {
-        column = leaf.counts;
-      }
+      for (int k = 0; k < leaf.n_layers; ++k) joinColumn(leaf.counts, sum, &(*columns)[i]);
     }
   }
 }

@@ -22,7 +22,7 @@ void checkReach(const Projection& projection, double resolution_m, int n_layers)
                      "range_max_m or span of the tree, or larger voxels");
   const double farthest_m =
       projection.p_map_camera().cwiseAbs().maxCoeff() + projection.reach_m() + resolution_m;
-  if (farthest_m <= 32768.0 * resolution_m) return;
+  if (farthest_m <= SemanticOcTree::kKeyOffset * resolution_m) return;
   throw FrameError("pose_invalid", "the camera sees farther from the origin than the map reaches");
 }
 
@@ -104,10 +104,11 @@ std::vector<Predicate> SemanticMap::findInForce(const Constraints& constraints) 
 void SemanticMap::collect(const Frame& frame, const Projection& projection, bool vote) {
   frame_votes_.start(projection.p_map_camera(), projection.reach_m());
   detector_.start(projection.p_map_camera(), projection.reach_m());
+  const FloorBand floor = makeFloorBand(projection);
   for (int v = 0; v < metres_.rows; ++v) {
     projection.projectRow(metres_, v, &row_);
     collectInstances(frame, projection, v);
-    if (vote) voteRow(frame, projection, v);
+    if (vote) voteRow(frame, projection, floor, v);
   }
 }
 
@@ -138,15 +139,21 @@ void SemanticMap::collectInstances(const Frame& frame, const Projection& project
   }
 }
 
-void SemanticMap::voteRow(const Frame& frame, const Projection& projection, int v) {
-  const bool metric_layer = params_.vote.metric_layer;
+FloorBand SemanticMap::makeFloorBand(const Projection& projection) const {
   FloorBand floor;
   floor.camera_height_m = projection.camera_height_m();
   floor.metric_min_height_m = projection.metricHeight(0.0f);
   floor.metric_slope = static_cast<float>(params_.range.metric_slope);
   floor.layer = frame_votes_.layerOf(params_.range.floor_z_m);
-  if (metric_layer) floor.min_height_m = static_cast<float>(params_.range.band_min_z_m);
+  if (params_.vote.metric_layer)
+    floor.min_height_m = static_cast<float>(params_.range.band_min_z_m);
+  return floor;
+}
+
+void SemanticMap::voteRow(const Frame& frame, const Projection& projection, const FloorBand& floor,
+                          int v) {
   frame_votes_.locate(row_, floor, &voxels_);
+  const bool metric_layer = params_.vote.metric_layer;
   const bool by_image = params_.usesImageOperators(), all_safe = !params_.semantics;
   const uint16_t* labels = frame.labels.ptr<uint16_t>(v);
   const uint8_t* regions = by_image ? regions_.image().ptr<uint8_t>(v) : nullptr;

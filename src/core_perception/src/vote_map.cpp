@@ -7,7 +7,7 @@
 namespace core_perception {
 namespace {
 
-constexpr int kKeyOffset = 32768;  // OctoMap's key of coordinate 0
+constexpr int kKeyOffset = SemanticOcTree::kKeyOffset;
 
 bool makeKey(const VoxelIndex& voxel, octomap::OcTreeKey* key) {
   const int values[] = {voxel.x + kKeyOffset, voxel.y + kKeyOffset, voxel.z + kKeyOffset};
@@ -82,9 +82,7 @@ void VoteMap::addToVoxel(const VoxelIndex& voxel, const VoxelTally& tally) {
 
 void VoteMap::addToColumn(const VoxelTally& tally, bool metric, bool unsafe, const Place& place) {
   Column& column = *place.column;
-  if (by_sum_) {
-    addVotes(tally.n_safe, tally.n_unsafe + tally.n_metric, &column.counts);
-  } else if (column.derived_frame != frame_) {
+  if (column.derived_frame != frame_) {
     column.derived_frame = frame_;
     derived_.push_back(place);
   }
@@ -106,12 +104,9 @@ Counts VoteMap::counts(const VoxelIndex& voxel) const {
 }
 
 void VoteMap::derive(const Place& place) const {
-  Counts total, worst;
-  for (const Counts* voxel = place.band; voxel <= place.band + (band_max_ - band_min_); ++voxel) {
-    addVotes(voxel->n_safe, voxel->n_unsafe, &total);
-    if (!voxel->empty() && (worst.empty() || isWorse(*voxel, worst))) worst = *voxel;
-  }
-  place.column->counts = by_sum_ ? total : worst;
+  Counts counts;
+  for (int i = 0; i <= band_max_ - band_min_; ++i) joinColumn(place.band[i], by_sum_, &counts);
+  place.column->counts = counts;
 }
 
 /// Writes the votes of a voxel into the tree and beside its column, which is to be derived then.

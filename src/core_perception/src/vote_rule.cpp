@@ -30,6 +30,15 @@ void addVotes(uint32_t n_safe, uint32_t n_unsafe, Counts* counts) {
   counts->n_unsafe = addSaturated(counts->n_unsafe, n_unsafe);
 }
 
+void joinColumn(const Counts& voxel, bool sum, Counts* column) {
+  if (voxel.empty()) return;
+  if (sum) {
+    addVotes(voxel.n_safe, voxel.n_unsafe, column);
+  } else if (column->empty() || isWorse(voxel, *column)) {
+    *column = voxel;
+  }
+}
+
 void addFrameVote(bool safe, uint32_t cap, Counts* counts) {
   addVotes(safe ? 1 : 0, safe ? 0 : 1, counts);
   if (cap == 0) return;

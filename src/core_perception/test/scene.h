@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "core_perception/frame.h"
+#include "core_perception/params.h"
 #include "core_perception/predicates.h"
 
 namespace core_perception {
@@ -128,6 +129,24 @@ inline Scene makeConeLine() {
   Scene scene;
   for (int i = -2; i <= 2; ++i) scene.cylinders.push_back({"traffic_cone", {5.0, 1.0 * i}});
   return scene;
+}
+
+/// Profile paper, as config/paper.yaml has it.
+inline SemanticMapParams makePaperParams() {
+  SemanticMapParams p;
+  p.operators = "image";
+  p.unknown_is_unsafe = false;
+  p.initial_disc_radius_m = 4.0;
+  p.distance = "centre";
+  p.range.range_min_m = 3.0;
+  p.range.tree_min_z_m = p.range.band_min_z_m = -2.0;
+  p.range.tree_max_z_m = p.range.band_max_z_m = 5.0;
+  p.range.depth_edge_ratio = 0.0;
+  p.vote.votes = "pixel";
+  p.vote.column = "sum";
+  p.vote.count_cap = 0;
+  p.vote.metric_layer = p.vote.free_space_clearing = false;
+  return p;
 }
 
 }  // namespace core_perception

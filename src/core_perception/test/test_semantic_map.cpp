@@ -41,23 +41,6 @@ Constraints exemptAll(Constraints constraints, const SemanticMap& map) {
   return constraints;
 }
 
-SemanticMapParams makePaperParams() {
-  SemanticMapParams p;
-  p.operators = "image";
-  p.unknown_is_unsafe = false;
-  p.initial_disc_radius_m = 4.0;
-  p.distance = "centre";
-  p.range.range_min_m = 3.0;
-  p.range.tree_min_z_m = p.range.band_min_z_m = -2.0;
-  p.range.tree_max_z_m = p.range.band_max_z_m = 5.0;
-  p.range.depth_edge_ratio = 0.0;
-  p.vote.votes = "pixel";
-  p.vote.column = "sum";
-  p.vote.count_cap = 0;
-  p.vote.metric_layer = p.vote.free_space_clearing = false;
-  return p;
-}
-
 TEST(SemanticMap, floor_is_safe_and_the_line_between_cones_is_not) {
   SemanticMap map{SemanticMapParams()};
   const Scene scene = makeConeLine();

@@ -66,7 +66,8 @@ class SemanticMap {
   std::vector<Predicate> findInForce(const Constraints& constraints) const;
   void collect(const Frame& frame, const Projection& projection, bool vote);
   void collectInstances(const Frame& frame, const Projection& projection, int v);
-  void voteRow(const Frame& frame, const Projection& projection, int v);
+  FloorBand makeFloorBand(const Projection& projection) const;
+  void voteRow(const Frame& frame, const Projection& projection, const FloorBand& floor, int v);
   int32_t locateExactly(const Frame& frame, const Projection& projection, const FloorBand& floor,
                         int u, int v) const;
   void mark(Stage stage) const {

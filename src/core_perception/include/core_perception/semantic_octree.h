@@ -53,6 +53,8 @@ class SemanticOcTreeNode : public octomap::OcTreeNode {
 /// libraries must name one symbol, such as by dynamic_cast<SemanticOcTree*>.
 class SemanticOcTree : public octomap::OccupancyOcTreeBase<SemanticOcTreeNode> {
  public:
+  static constexpr int kKeyOffset = 32768;  ///< OctoMap's key of coordinate 0
+
   explicit SemanticOcTree(double resolution_m);
   SemanticOcTree(const SemanticOcTree&) = delete;
   SemanticOcTree& operator=(const SemanticOcTree&) = delete;

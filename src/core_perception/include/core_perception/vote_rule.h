@@ -26,6 +26,10 @@ bool isSafe(const Counts& counts, double tau);
 /// that with more votes. Both must have votes.
 bool isWorse(const Counts& a, const Counts& b);
 
+/// Takes one more voxel of a column of the 2-D map into its votes: their sum, as [CORE], or those
+/// of the worst voxel. An empty voxel changes nothing.
+void joinColumn(const Counts& voxel, bool sum, Counts* column);
+
 /// Adds raw votes, as [CORE]: never forgotten. Stops at 2^32 - 1 instead of wrapping.
 void addVotes(uint32_t n_safe, uint32_t n_unsafe, Counts* counts);
 

@@ -123,12 +123,11 @@ octomap_msgs::Octomap octomapToMessage(WireFormat format, const std_msgs::Header
 
 sensor_msgs::PointCloud2 centersToMessage(const std_msgs::Header& header,
                                           const TreeSnapshot& snapshot) {
-  constexpr int kKeyOffset = 32768;  // OctoMap's key of coordinate 0
   std::vector<float> xyz;
   forEachLeaf(snapshot, [&](const SnapshotLeaf& leaf) {
     if (!leaf.isUnsafe()) return;
     for (unsigned axis = 0; axis < 3; ++axis) {
-      const double index = leaf.lowest[axis] - kKeyOffset + 0.5 * leaf.edge();
+      const double index = leaf.lowest[axis] - SemanticOcTree::kKeyOffset + 0.5 * leaf.edge();
       xyz.push_back(static_cast<float>(index * snapshot.resolution_m));
     }
   });

@@ -102,13 +102,12 @@ class CampaignStore:
         self._records: Dict[str, dict] = {}
         self._lock = None
         self._stream: Optional[int] = None
-        path = self.folder / SETTINGS_NAME
-        begun = path.is_file() or any(entry.name != LOCK_NAME for entry in _entries(self.folder))
-        nothing_run = not (self.folder / "trials").exists() and _is_empty(self.folder / TRIALS_NAME)
-        ours = {entry.name for entry in _entries(self.folder)} <= {LOCK_NAME, SETTINGS_NAME, TRIALS_NAME}
-        if begun and not (ours and nothing_run and not resume):
-            if not resume:
-                raise ConfigError("evaluate", "--out", f"{self.folder} is not empty", "--resume, or another folder")
+        names = {entry.name for entry in _entries(self.folder)} - {LOCK_NAME}
+        nothing_run = names <= {SETTINGS_NAME, TRIALS_NAME} and _is_empty(self.folder / TRIALS_NAME)
+        if not resume and not nothing_run:
+            raise ConfigError("evaluate", "--out", f"{self.folder} is not empty", "--resume, or another folder")
+        if resume and names:
+            path = self.folder / SETTINGS_NAME
             if not path.is_file():
                 raise ConfigError("evaluate", "--resume", f"{path} is missing", "the folder of a campaign")
             _refuse_other_settings(path, self._settings)
