@@ -115,11 +115,13 @@ def test_library_sources_of_the_map_include_no_ros():
     assert not [path.name for path in sources if ros_include.search(path.read_text())]
 
 
-def test_ground_truth_is_read_by_the_simulated_segmenter_alone():
+def test_ground_truth_is_named_in_one_module_that_the_segmenter_node_alone_imports():
     readers = {
         path.name
         for package in ("core_perception", "core_control")
         for path in modules(package)
         if "ground_truth" in path.read_text()
     }
-    assert readers <= {"simulated.py", "segmenter_node.py", "params.py"}
+    assert readers == {"truth_topics.py"}
+    importers = {path.name for path in modules("core_perception") if "truth_topics" in path.read_text()}
+    assert importers == {"segmenter_node.py"}

@@ -15,7 +15,6 @@ Progress goes to stderr; the last line on stdout is one JSON object. Exit code 1
 """
 
 import argparse
-import json
 import os
 import sys
 from pathlib import Path
@@ -29,10 +28,12 @@ import injection_cases
 import ontology_bench
 import reply_fuzz
 
+from core_bringup.evaluation.bars import finish, judge
+
 LEAST_FOUND = {"line": 0.99, "arc": 0.95, "ring": 0.99, "corner": 0.90}
 
 
-def judge(results):
+def judge_results(results):
     """Every bar of this bench: its figure, what it must be, and whether it is."""
     fuzz, injection, ontology = results["fuzz"], results["injection"], results["ontology"]
     shapes = ontology["arrangements"]
@@ -49,11 +50,7 @@ def judge(results):
         **{name: (shapes[name], "<=", 0.02) for name in ("scatter_3m", "scatter_6m", "lane")},
         "emulated_agrees": (int(results["emulated"]["agrees"]), "==", 1),
     }
-    holds = {"==": lambda a, b: a == b, ">=": lambda a, b: a >= b, "<=": lambda a, b: a <= b}
-    return {
-        name: {"figure": round(figure, 4), "bar": f"{sign} {limit}", "met": holds[sign](figure, limit)}
-        for name, (figure, sign, limit) in figures.items()
-    }
+    return judge({name: (round(figure, 4), sign, limit) for name, (figure, sign, limit) in figures.items()})
 
 
 def main():
@@ -73,13 +70,7 @@ def main():
     results = {"bench": "reasoning", "seed": options.seed}
     for name, run in tqdm(parts.items(), file=sys.stderr, desc="reasoning", unit="part"):
         results[name] = run()
-    results["bars"] = judge(results)
-    for name, bar in results["bars"].items():
-        print(
-            f"{name:26}{bar['figure']:>10}   bar {bar['bar']:8} {'met' if bar['met'] else 'NOT MET'}", file=sys.stderr
-        )
-    print(json.dumps(results, sort_keys=True))
-    return 0 if all(bar["met"] for bar in results["bars"].values()) else 1
+    return finish(results, judge_results(results))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import pytest
 from core_bringup.backend import RobotState
 from core_bringup.camera import CameraModel
 from core_bringup.ground_truth import GroundTruthState
-from core_bringup.rotations import quaternion_of_rpy, yaw_of_quaternion
+from core_bringup.rotations import quaternion_of_matrix, quaternion_of_rpy, yaw_of_quaternion
 
 to = pytest.importorskip("core_bringup.ros.conversions", reason="needs ROS messages")
 
@@ -151,3 +151,17 @@ def rotate(q, columns):
     u, w = np.array(q[:3]), q[3]
     cross = np.cross(u, columns.T)
     return (columns.T + 2 * w * cross + 2 * np.cross(u, cross)).T
+
+
+def test_quaternions_survive_the_matrix_half_turns_too():
+    random = np.random.RandomState(3)
+    quaternions = [q / np.linalg.norm(q) for q in random.normal(size=(200, 4))]
+    quaternions += [np.eye(4)[i] for i in range(4)] + [np.array([0.6, 0.8, 0.0, 0.0]), np.array([0.0, 0.6, -0.8, 1e-9])]
+    for q in quaternions:
+        x, y, z, w = q
+        R = np.eye(3) + 2.0 * w * np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) + 2.0 * (
+            np.outer(q[:3], q[:3]) - np.eye(3) * (q[:3] @ q[:3])
+        )  # fmt: skip
+        found = np.array(quaternion_of_matrix(R))
+        assert found[3] >= 0.0
+        np.testing.assert_allclose(abs(found @ q), 1.0, atol=1e-12)

@@ -63,15 +63,19 @@ FrameFile::FrameFile(const std::string& path)
   readHeader(&file_);
   first_frame_ = file_.tellg();
   buffer_.resize(kPoseBytes + 4 * countPixels(header_.camera));
+  if (isFile()) checkSize();
+  for (const LabelClass& label : header_.classes) class_of_label_[label.id] = &label;
+  std::set<std::string> names;
+  for (const LabelClass& label : header_.classes) names.insert(label.class_name);
+  class_names_.assign(names.begin(), names.end());
+}
+
+void FrameFile::checkSize() {
   file_.seekg(0, std::ios::end);
   const std::streamoff due =
       first_frame_ + static_cast<std::streamoff>(buffer_.size()) * header_.n_frames;
   if (file_.tellg() != due)
     fail("frames", "the file has another size", std::to_string(due) + " bytes");
-  for (const LabelClass& label : header_.classes) class_of_label_[label.id] = &label;
-  std::set<std::string> names;
-  for (const LabelClass& label : header_.classes) names.insert(label.class_name);
-  class_names_.assign(names.begin(), names.end());
   rewind();
 }
 
@@ -83,6 +87,7 @@ Constraints FrameFile::constraints() const {
 }
 
 void FrameFile::rewind() {
+  if (!isFile()) fail("recording", "a pipe cannot be read again", "a file");
   file_.clear();
   file_.seekg(first_frame_);
   n_read_ = 0;

@@ -19,8 +19,9 @@ struct RecordingHeader {
   int n_frames = 0;
 };
 
-/// Reader of a recording of format "core_frames 1"; one frame is held at a time. The format is
-/// described in core_bringup/evaluation/frame_recording.py, which writes it.
+/// Reader of a recording of format "core_frames 1", a file or a pipe that is being written; one
+/// frame is held at a time. The format is described in core_bringup/evaluation/frame_recording.py,
+/// which writes it.
 class FrameFile {
  public:
   /// @throws std::runtime_error "<file>: <place>: <problem>; allowed: <what>".
@@ -33,9 +34,13 @@ class FrameFile {
   /// Reads the next frame, with images of its own; false at the end. Frame::classes lists the
   /// labels that are in the image, as a segmenter does; classes_evaluated lists all.
   bool next(Frame* frame);
+  /// @throws std::runtime_error the recording is a pipe.
   void rewind();
 
  private:
+  /// Pipes have no position.
+  bool isFile() const { return first_frame_ >= 0; }
+  void checkSize();
   void readHeader(std::istream* stream);
   void readStatement(const std::string& line, int line_number);
   [[noreturn]] void fail(const std::string& place, const std::string& problem,

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "core_perception/causes.h"
 
+#include <algorithm>
+
 namespace core_perception {
 
 uint16_t CauseTable::intern(const std::string& rule, const std::string& class_name) {
@@ -9,7 +11,8 @@ uint16_t CauseTable::intern(const std::string& rule, const std::string& class_na
   if (it != numbers_.end()) return it->second;
   if (causes_.size() >= kNoCause) return kNoCause;
   const auto number = static_cast<uint16_t>(causes_.size());
-  causes_.push_back(Cause{rule, class_name, 0});
+  const bool mobile = std::count(mobile_classes_.begin(), mobile_classes_.end(), class_name) > 0;
+  causes_.push_back(Cause{rule, class_name, 0, mobile});
   numbers_.emplace(key, number);
   return number;
 }

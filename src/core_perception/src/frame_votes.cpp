@@ -38,18 +38,19 @@ FrameVotes::FrameVotes(double resolution_m, double min_z_m, double max_z_m)
 }
 
 void FrameVotes::start(const Eigen::Vector3d& p_map_camera, double reach_m) {
-  for (const uint32_t index : touched_) tallies_[index] = VoxelTally();
-  touched_.clear();
+  for (const VoxelTally& tally : tallies_) numbers_[tally.voxel] = 0;
+  tallies_.clear();
   const int reach = static_cast<int>(std::ceil(reach_m / resolution_m_)) + 1;
-  width_ = 2 * reach + 1;
+  // A power of two: indices come and go without a division.
+  for (width_bits_ = 0; 1 << width_bits_ < 2 * reach + 1;) ++width_bits_;
   origin_.x = floorDivide(p_map_camera.x(), resolution_m_) - reach;
   origin_.y = floorDivide(p_map_camera.y(), resolution_m_) - reach;
   for (int axis = 0; axis < 3; ++axis) {
     const int origin = axis == 0 ? origin_.x : axis == 1 ? origin_.y : origin_.z;
     offset_[axis] = p_map_camera[axis] / resolution_m_ - origin;
   }
-  const size_t size = static_cast<size_t>(width_) * width_ * layers_;
-  if (tallies_.size() < size) tallies_.resize(size);
+  const size_t size = static_cast<size_t>(layers_) << 2 * width_bits_;
+  if (numbers_.size() < size) numbers_.resize(size);
 }
 
 void FrameVotes::locate(const PointRow& row, const FloorBand& floor,
@@ -60,7 +61,8 @@ void FrameVotes::locate(const PointRow& row, const FloorBand& floor,
               *dz = row.dz_m.data();
   const float scale = cells_per_m_, x0 = static_cast<float>(offset_.x()),
               y0 = static_cast<float>(offset_.y()), z0 = static_cast<float>(offset_.z());
-  const int width = width_, layers = layers_, floor_layer = floor.layer, end = row.end;
+  const int bits = width_bits_, width = 1 << bits, layers = layers_, floor_layer = floor.layer,
+            end = row.end;
   const float camera_height = floor.camera_height_m, floor_min = floor.min_height_m,
               metric_min = floor.metric_min_height_m, slope = floor.metric_slope;
   // Written as one choice after the other: that is what compilers make vector instructions of.
@@ -77,7 +79,8 @@ void FrameVotes::locate(const PointRow& row, const FloorBand& floor,
     const float border =
         std::min(border_z, std::min(measureToBorder(cell_x, x), measureToBorder(cell_y, y)));
     // As unsigned a negative index is a large one.
-    int voxel = (y * width + x) * layers + z;
+    const auto rows = (static_cast<unsigned>(z) << bits) + static_cast<unsigned>(y);
+    int voxel = static_cast<int>((rows << bits) + static_cast<unsigned>(x));
     voxel = static_cast<unsigned>(x) < static_cast<unsigned>(width) ? voxel : kNoVoxel;
     voxel = static_cast<unsigned>(y) < static_cast<unsigned>(width) ? voxel : kNoVoxel;
     voxel = static_cast<unsigned>(z) < static_cast<unsigned>(layers) ? voxel : kNoVoxel;
@@ -94,23 +97,16 @@ int32_t FrameVotes::locatePoint(const Eigen::Vector3d& d_m, double depth_m,
   const bool is_floor = height_m >= floor.min_height_m &&
                         height_m < floor.metric_min_height_m + floor.metric_slope * depth_m;
   const int z = is_floor ? floor.layer : static_cast<int>(std::floor(cell.z()));
-  const bool inside = x >= 0 && y >= 0 && z >= 0 && x < width_ && y < width_ && z < layers_;
-  return inside ? (y * width_ + x) * layers_ + z : kNoVoxel;
+  return isInside(x, y, z) ? indexOfCell(x, y, z) : kNoVoxel;
 }
 
 int FrameVotes::layerOf(double z_m) const { return floorDivide(z_m, resolution_m_) - origin_.z; }
 
-VoxelIndex FrameVotes::indexOf(uint32_t touched) const {
-  const int column = static_cast<int>(touched) / layers_;
-  return {origin_.x + column % width_, origin_.y + column / width_,
-          origin_.z + static_cast<int>(touched) % layers_};
-}
-
 const VoxelTally* FrameVotes::find(const VoxelIndex& voxel) const {
   const int x = voxel.x - origin_.x, y = voxel.y - origin_.y, z = voxel.z - origin_.z;
-  if (x < 0 || y < 0 || z < 0 || x >= width_ || y >= width_ || z >= layers_) return nullptr;
-  const VoxelTally& tally = tallies_[(static_cast<size_t>(y) * width_ + x) * layers_ + z];
-  return tally.empty() ? nullptr : &tally;
+  if (!isInside(x, y, z)) return nullptr;
+  const uint32_t number = numbers_[indexOfCell(x, y, z)];
+  return number == 0 ? nullptr : &tallies_[number - 1];
 }
 
 }  // namespace core_perception

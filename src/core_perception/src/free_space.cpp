@@ -6,14 +6,29 @@
 namespace core_perception {
 namespace {
 
+/// Square range of columns, both ends included.
+struct ColumnRange {
+  int min_x, min_y, max_x, max_y;
+};
+
+ColumnRange findReach(const Projection& projection, double resolution_m) {
+  const auto toIndex = [resolution_m](double coordinate_m) {
+    return static_cast<int>(std::floor(coordinate_m / resolution_m));
+  };
+  const Eigen::Vector3d& p = projection.p_map_camera();
+  const double reach_m = projection.reach_m();
+  return {toIndex(p.x() - reach_m), toIndex(p.y() - reach_m), toIndex(p.x() + reach_m),
+          toIndex(p.y() + reach_m)};
+}
+
 /// Whether the frame saw floor in the column and nothing that stands up.
 bool sawOnlyFloor(const FrameVotes& votes, const VoteMap& map, int x, int y) {
   uint32_t n_floor = 0;
   for (int z = map.bandMin(); z <= map.bandMax(); ++z) {
     const VoxelTally* tally = votes.find({x, y, z});
     if (tally == nullptr) continue;
-    if (tally->n_metric > 0) return false;
-    n_floor += tally->n_safe + tally->n_unsafe;
+    if (tally->n_metric() > 0) return false;
+    n_floor += tally->n_safe() + tally->n_unsafe();
   }
   return n_floor > 0;
 }
@@ -21,7 +36,8 @@ bool sawOnlyFloor(const FrameVotes& votes, const VoteMap& map, int x, int y) {
 }  // namespace
 
 bool isSeenThrough(const cv::Mat& metres, const Projection& projection,
-                   const Eigen::Vector3d& centre, double resolution_m, bool no_depth_is_beyond) {
+                   const Eigen::Vector3d& centre, double resolution_m, bool no_depth_is_beyond,
+                   bool outside_is_beyond) {
   const double radius_m = 0.5 * std::sqrt(3.0) * resolution_m;
   const Eigen::Vector3d pixel = projection.project(centre);
   if (pixel.z() <= 2.0 * radius_m) return false;
@@ -30,13 +46,16 @@ bool isSeenThrough(const cv::Mat& metres, const Projection& projection,
   const bool inside = pixel.x() - half_u >= 0.0 && pixel.y() - half_v >= 0.0 &&
                       pixel.x() + half_u <= metres.cols - 1 &&
                       pixel.y() + half_v <= metres.rows - 1;
-  if (!inside) return false;
+  if (!inside && !outside_is_beyond) return false;
   const auto beyond_m = static_cast<float>(pixel.z() + radius_m);
   for (int i = -2; i <= 2; ++i) {
-    const float* row =
-        metres.ptr<float>(static_cast<int>(std::lround(pixel.y() + 0.5 * i * half_v)));
+    const long v = std::lround(pixel.y() + 0.5 * i * half_v);
+    if (v < 0 || v >= metres.rows) continue;
+    const float* row = metres.ptr<float>(static_cast<int>(v));
     for (int j = -2; j <= 2; ++j) {
-      const float depth_m = row[std::lround(pixel.x() + 0.5 * j * half_u)];
+      const long u = std::lround(pixel.x() + 0.5 * j * half_u);
+      if (u < 0 || u >= metres.cols) continue;
+      const float depth_m = row[u];
       if (depth_m > 0.0f ? depth_m <= beyond_m : !no_depth_is_beyond) return false;
     }
   }
@@ -44,8 +63,9 @@ bool isSeenThrough(const cv::Mat& metres, const Projection& projection,
 }
 
 int clearSeenThrough(const cv::Mat& metres, const Projection& projection, const FrameVotes& votes,
-                     const ColumnRange& range, VoteMap* map) {
+                     const LocalFloor& floor, VoteMap* map) {
   const double resolution_m = map->tree().getResolution();
+  const ColumnRange range = findReach(projection, resolution_m);
   int n_cleared = 0;
   for (int y = range.min_y; y <= range.max_y; ++y) {
     for (int x = range.min_x; x <= range.max_x; ++x) {
@@ -55,8 +75,11 @@ int clearSeenThrough(const cv::Mat& metres, const Projection& projection, const 
       for (int z = map->bandMin(); z <= map->bandMax(); ++z) {
         const VoxelIndex voxel{x, y, z};
         if (map->counts(voxel).n_unsafe == 0 || votes.find(voxel) != nullptr) continue;
-        const Eigen::Vector3d centre = Eigen::Vector3d(x + 0.5, y + 0.5, z + 0.5) * resolution_m;
-        if (!isSeenThrough(metres, projection, centre, resolution_m, only_floor)) continue;
+        Eigen::Vector3d centre = Eigen::Vector3d(x + 0.5, y + 0.5, z + 0.5) * resolution_m;
+        centre.z() += floor.height_m(centre.x(), centre.y());
+        const bool may_be_cut = only_floor && map->isMobile(voxel);
+        if (!isSeenThrough(metres, projection, centre, resolution_m, only_floor, may_be_cut))
+          continue;
         map->contradictVoxel(voxel);
         ++n_cleared;
       }

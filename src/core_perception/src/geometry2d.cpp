@@ -145,16 +145,31 @@ double computeDistance(const Point2& point, const Polygon& polygon) {
   return std::sqrt(best);
 }
 
+double computeDistance(const Point2& point, const Box2& box) {
+  const double dx = std::max({box.min_x - point.x, point.x - box.max_x, 0.0});
+  const double dy = std::max({box.min_y - point.y, point.y - box.max_y, 0.0});
+  return std::hypot(dx, dy);
+}
+
 double computeDistance(const Polygon& a, const Polygon& b) {
   const double corners = std::min(cornersToPolygon(a, b), cornersToPolygon(b, a));
   return corners > 0.0 && borderReached(a, b) ? 0.0 : corners;
 }
 
+bool areWithin(const Box2& a, const Box2& b, double max_m) {
+  const double gap_x = std::max(a.min_x - b.max_x, b.min_x - a.max_x);
+  const double gap_y = std::max(a.min_y - b.max_y, b.min_y - a.max_y);
+  return std::max(gap_x, gap_y) <= max_m;
+}
+
 bool areWithin(const Polygon& a, const Polygon& b, double max_m) {
-  const Box2 p = computeBounds(a), q = computeBounds(b);
-  const double gap_x = std::max(p.min_x - q.max_x, q.min_x - p.max_x);
-  const double gap_y = std::max(p.min_y - q.max_y, q.min_y - p.max_y);
-  return std::max(gap_x, gap_y) <= max_m && computeDistance(a, b) <= max_m;
+  if (!areWithin(computeBounds(a), computeBounds(b), max_m)) return false;
+  const auto isNear = [max_m](const Polygon& corners, const Polygon& polygon) {
+    return std::any_of(corners.begin(), corners.end(), [&](const Point2& corner) {
+      return computeDistance(corner, polygon) <= max_m;
+    });
+  };
+  return isNear(a, b) || isNear(b, a) || (max_m >= 0.0 && borderReached(a, b));
 }
 
 Polygon makeSquare(const Point2& centre, double edge_m) {

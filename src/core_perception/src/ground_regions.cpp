@@ -8,9 +8,9 @@
 namespace core_perception {
 namespace {
 
-Region makeRegion(const Predicate& predicate, uint32_t instance_id) {
+Region makeRegion(const Predicate& predicate, uint32_t instance_id, bool mobile) {
   Region region;
-  region.cause = Cause{formatRule(predicate), predicate.class_name, instance_id};
+  region.cause = Cause{formatRule(predicate), predicate.class_name, instance_id, mobile};
   region.slow = predicate.severity == Severity::kSlow;
   return region;
 }
@@ -36,7 +36,7 @@ void addAround(const Predicate& predicate, const HeldInstance& held, const Insta
   const bool extended = held.isExtended(params.max_footprint_m);
   const bool around = predicate.spatial_operator == SpatialOperator::kAround;
   if (extended && !around) return;
-  Region region = makeRegion(predicate, held.id);
+  Region region = makeRegion(predicate, held.id, held.mobile);
   region.parts = makeParts(held, extended, resolution_m);
   region.radius_m = around ? chooseRadius(predicate, params) : 0.0;
   regions->push_back(std::move(region));
@@ -52,7 +52,7 @@ void addBetween(const Predicate& predicate, const std::vector<const HeldInstance
     for (const HeldInstance* held : cluster.second) {
       corners.insert(corners.end(), held->footprint.begin(), held->footprint.end());
     }
-    Region region = makeRegion(predicate, cluster.first);
+    Region region = makeRegion(predicate, cluster.first, cluster.second[0]->mobile);
     region.parts = {computeConvexHull(std::move(corners))};
     region.radius_m =
         std::max(0.0, 0.5 * (params.between_min_thickness_m - computeWidth(region.parts[0])));
@@ -92,6 +92,13 @@ std::vector<Region> buildRegions(const std::vector<HeldInstance>& instances,
       addAround(predicate, *held, params, resolution_m, &regions);
   }
   return regions;
+}
+
+double findLargestRadius(const std::vector<Predicate>& predicates, const InstanceParams& params) {
+  double largest_m = params.between_min_thickness_m;
+  for (const Predicate& predicate : predicates)
+    largest_m = std::max(largest_m, chooseRadius(predicate, params));
+  return largest_m;
 }
 
 bool isSpared(const HeldInstance& held, const Predicate& predicate,

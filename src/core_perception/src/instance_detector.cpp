@@ -41,11 +41,8 @@ const InstanceDetector::Bin* InstanceDetector::find(int16_t slot, int x, int y) 
   return i >= 0 ? &bins_[i] : nullptr;
 }
 
-InstanceDetector::Bin& InstanceDetector::touchBin(int16_t slot, int x, int y) {
+InstanceDetector::Bin& InstanceDetector::addBin(int16_t slot, int x, int y) {
   int32_t& head = heads_[cellOf(x, y)];
-  for (int32_t i = head; i >= 0; i = bins_[i].next) {
-    if (bins_[i].slot == slot) return bins_[i];
-  }
   Bin bin;
   bin.slot = slot;
   bin.x = x;
@@ -54,21 +51,6 @@ InstanceDetector::Bin& InstanceDetector::touchBin(int16_t slot, int x, int y) {
   head = static_cast<int32_t>(bins_.size());
   bins_.push_back(bin);
   return bins_.back();
-}
-
-void InstanceDetector::add(int16_t slot, const Eigen::Vector3f& d_m, bool standing) {
-  constexpr auto kBinsPerMetre = static_cast<float>(1.0 / kBin_m);
-  // Within reach neither is negative, so that the conversion is floor().
-  const int x = static_cast<int>(offset_x_ + d_m.x() * kBinsPerMetre);
-  const int y = static_cast<int>(offset_y_ + d_m.y() * kBinsPerMetre);
-  if (x < 0 || y < 0 || x >= width_ || y >= width_) return;  // a pose that stretches a little
-  Bin& bin = touchBin(slot, x, y);
-  bin.z_min_m = std::min(bin.z_min_m, d_m.z());
-  bin.z_max_m = std::max(bin.z_max_m, d_m.z());
-  bin.sum_x_m += d_m.x();
-  bin.sum_y_m += d_m.y();
-  ++bin.n_points;
-  if (standing) ++bin.n_standing;
 }
 
 std::vector<Detection> InstanceDetector::finish(const std::vector<std::string>& class_names) const {
@@ -121,26 +103,62 @@ InstanceDetector::Bins InstanceDetector::keepStanding(const Bins& bins) const {
   return kept;
 }
 
+/// Means of the bins that can be a corner of the hull: one that has bins to its left and to its
+/// right both in a row above and in a row below lies within the mean points of those four.
+std::vector<Point2> InstanceDetector::findRim(const std::vector<Point2>& means, const Bins& bins) {
+  const auto lower = [](const Bin* a, const Bin* b) { return a->y < b->y; };
+  const auto ends = std::minmax_element(bins.begin(), bins.end(), lower);
+  const int first_y = (*ends.first)->y, n_rows = (*ends.second)->y - first_y + 1;
+  struct Span {
+    int min_x = std::numeric_limits<int>::max(), max_x = std::numeric_limits<int>::min();
+    void add(const Span& other) {
+      min_x = std::min(min_x, other.min_x);
+      max_x = std::max(max_x, other.max_x);
+    }
+  };
+  // Spans of all rows before and after a row.
+  std::vector<Span> rows(n_rows), before(n_rows + 1), after(n_rows + 1);
+  for (const Bin* bin : bins) rows[bin->y - first_y].add({bin->x, bin->x});
+  for (int i = 0; i < n_rows; ++i) {
+    before[i + 1] = before[i];
+    before[i + 1].add(rows[i]);
+  }
+  for (int i = n_rows - 1; i > 0; --i) {
+    after[i - 1] = after[i];
+    after[i - 1].add(rows[i]);
+  }
+  std::vector<Point2> rim;
+  for (size_t i = 0; i < bins.size(); ++i) {
+    const int x = bins[i]->x, row = bins[i]->y - first_y;
+    const bool inside = before[row].min_x < x && x < before[row].max_x && after[row].min_x < x &&
+                        x < after[row].max_x;
+    if (!inside) rim.push_back(means[i]);
+  }
+  return rim;
+}
+
 void InstanceDetector::appendDetection(const Bins& bins, const std::string& class_name,
                                        std::vector<Detection>* detections) const {
   Detection detection;
+  for (const Bin* bin : bins) detection.n_points += bin->n_points;
+  if (detection.n_points < min_points_) return;
   detection.class_name = class_name;
-  std::vector<Point2> points;
+  std::vector<Point2> means;
   auto z_min_m = std::numeric_limits<float>::infinity(), z_max_m = -z_min_m;
   for (const Bin* bin : bins) {
     const Point2 mean{p_map_camera_.x() + bin->sum_x_m / bin->n_points,
                       p_map_camera_.y() + bin->sum_y_m / bin->n_points};
-    points.push_back(mean);
-    detection.cells.push_back({static_cast<int>(std::floor(mean.x / map_resolution_m_)),
-                               static_cast<int>(std::floor(mean.y / map_resolution_m_))});
+    means.push_back(mean);
+    const CellIndex cell{static_cast<int>(std::floor(mean.x / map_resolution_m_)),
+                         static_cast<int>(std::floor(mean.y / map_resolution_m_))};
+    if (detection.cells.empty() || !(detection.cells.back() == cell))
+      detection.cells.push_back(cell);
     z_min_m = std::min(z_min_m, bin->z_min_m);
     z_max_m = std::max(z_max_m, bin->z_max_m);
-    detection.n_points += bin->n_points;
   }
-  if (detection.n_points < min_points_) return;
   detection.z_min_m = p_map_camera_.z() + z_min_m;
   detection.z_max_m = p_map_camera_.z() + z_max_m;
-  detection.footprint = computeConvexHull(std::move(points));
+  detection.footprint = computeConvexHull(findRim(means, bins));
   std::sort(detection.cells.begin(), detection.cells.end());
   detection.cells.erase(std::unique(detection.cells.begin(), detection.cells.end()),
                         detection.cells.end());

@@ -26,6 +26,7 @@ void readRange(ParamReader* reader, RangeParams* p) {
   reader->read("band_min_z_m", &p->band_min_z_m, {-20.0, 20.0});
   reader->read("band_max_z_m", &p->band_max_z_m, {-20.0, 20.0});
   reader->read("metric_min_height_m", &p->metric_min_height_m, {0.01, 2.0});
+  reader->read("local_floor", &p->local_floor);
   reader->read("metric_slope", &p->metric_slope, {0.0, 0.2});
   reader->read("depth_edge_ratio", &p->depth_edge_ratio, {0.0, 1.0});
   requireBelow("range_min_m", p->range_min_m, "range_max_m", p->range_max_m);
@@ -43,6 +44,7 @@ void readVote(ParamReader* reader, VoteParams* p) {
   reader->read("metric_layer", &p->metric_layer);
   reader->read("metric_min_points", &p->metric_min_points, {1, 1000});
   reader->read("free_space_clearing", &p->free_space_clearing);
+  reader->read("mobile_half_life_s", &p->mobile_half_life_s, {0.0, 86400.0});
   if (p->column == "sum" && p->free_space_clearing) {
     // What is taken from a voxel cannot be taken from a sum of pixels that never forgets.
     throw ParameterError("free_space_clearing", "true", "false with column sum");
@@ -51,16 +53,33 @@ void readVote(ParamReader* reader, VoteParams* p) {
 
 void readInstance(ParamReader* reader, InstanceParams* p) {
   reader->read("surface_classes", &p->surface_classes);
+  reader->read("mobile_classes", &p->mobile_classes);
+  reader->read("mobile_release_s", &p->mobile_release_s, {0.0, 86400.0});
+  reader->read("max_instances", &p->max_instances, {1, 5000});
   reader->read("min_points", &p->min_points, {1, 100000});
   reader->read("min_frames", &p->min_frames, {1, 100});
   reader->read("release_frames", &p->release_frames, {1, 1000});
   reader->read("match_distance_m", &p->match_distance_m, {0.0, 10.0});
   reader->read("footprint_slack_m", &p->footprint_slack_m, {0.0, 10.0});
+  reader->read("mobile_slack_m", &p->mobile_slack_m, {0.0, 10.0});
   reader->read("max_footprint_m", &p->max_footprint_m, {0.1, 50.0});
   reader->read("between_max_gap_m", &p->between_max_gap_m, {0.0, 50.0});
   reader->read("between_min_thickness_m", &p->between_min_thickness_m, {0.0, 10.0});
   reader->read("default_radius_m", &p->default_radius_m, {0.0, 10.0});
   reader->read("class_radius_m", &p->class_radius_m, {0.0, 10.0});
+}
+
+void readWindow(ParamReader* reader, const SemanticMapParams& map, WindowParams* p) {
+  reader->read("keep_radius_m", &p->keep_radius_m, {0.0, 10000.0});
+  reader->read("outside", &p->outside, {"drop", "disk"});
+  if (p->keep_radius_m == 0.0) return;
+  if (p->keep_radius_m < map.window_m)
+    throw ParameterError("keep_radius_m", std::to_string(p->keep_radius_m),
+                         "0, or window_m or more");
+  if (!map.unknown_is_unsafe) {
+    // A hazard that was forgotten would be open ground.
+    throw ParameterError("unknown_is_unsafe", "false", "true with keep_radius_m > 0");
+  }
 }
 
 void checkNode(const NodeParams& p) {
@@ -94,6 +113,7 @@ SemanticMapParams SemanticMapParams::fromReader(ParamReader* reader) {
   readRange(reader, &p.range);
   readVote(reader, &p.vote);
   readInstance(reader, &p.instance);
+  readWindow(reader, p, &p.window);
   if (!p.semantics && !p.vote.metric_layer) {
     throw ParameterError("metric_layer", "false",
                          "true with semantics false");  // all would be safe

@@ -27,6 +27,7 @@ Polygon grow(const Polygon& footprint) {
 }  // namespace
 
 PlaceView PlaceProbe::look(const HeldInstance& held) const {
+  if (!isInView(held.footprint)) return PlaceView::kHidden;  // cheap for the many far away
   const Polygon place = grow(held.footprint);
   if (!isInView(place)) return PlaceView::kHidden;
   const bool flat = held.z_max_m - range_.floor_z_m < range_.metric_min_height_m;
@@ -43,10 +44,15 @@ PlaceView PlaceProbe::look(const HeldInstance& held) const {
   return empty ? PlaceView::kEmpty : PlaceView::kHidden;
 }
 
+Eigen::Vector3d PlaceProbe::projectAbove(const Point2& place, double height_m) const {
+  const double floor_m = range_.floor_z_m + floor_.height_m(place.x, place.y);
+  return projection_.project({place.x, place.y, floor_m + height_m});
+}
+
 bool PlaceProbe::isInView(const Polygon& place) const {
   const Camera& camera = projection_.camera();
   return std::all_of(place.begin(), place.end(), [&](const Point2& corner) {
-    const Eigen::Vector3d pixel = projection_.project({corner.x, corner.y, range_.floor_z_m});
+    const Eigen::Vector3d pixel = projectAbove(corner, 0.0);
     return pixel.z() >= range_.range_min_m && pixel.z() <= range_.range_max_m && pixel.x() >= 0.0 &&
            pixel.y() >= 0.0 && pixel.x() <= camera.width_px - 1 &&
            pixel.y() <= camera.height_px - 1;
@@ -56,8 +62,8 @@ bool PlaceProbe::isInView(const Polygon& place) const {
 cv::Rect PlaceProbe::findPixels(const Polygon& place, double top_z_m) const {
   std::vector<cv::Point> corners;
   for (const Point2& corner : place) {
-    for (const double z_m : {range_.floor_z_m, top_z_m}) {
-      const Eigen::Vector3d pixel = projection_.project({corner.x, corner.y, z_m});
+    for (const double height_m : {0.0, top_z_m - range_.floor_z_m}) {
+      const Eigen::Vector3d pixel = projectAbove(corner, height_m);
       const Camera& camera = projection_.camera();
       if (pixel.z() < range_.range_min_m) continue;  // its upper end leans behind the camera
       corners.emplace_back(
@@ -81,6 +87,9 @@ PlaceProbe::Owner PlaceProbe::findOwner(uint16_t label, const std::string& class
 PlaceProbe::Evidence PlaceProbe::gather(const Polygon& place, const cv::Rect& pixels,
                                         const std::string& class_name) const {
   Evidence evidence;
+  const Box2 bounds = computeBounds(place);
+  evidence.floor_m =
+      floor_.height_m(0.5 * (bounds.min_x + bounds.max_x), 0.5 * (bounds.min_y + bounds.max_y));
   Owner owner = Owner::kNone;
   uint16_t last_label = 0;
   const int step =
@@ -101,7 +110,7 @@ void PlaceProbe::judgePixel(const Polygon& place, int u, int v, Owner owner,
   const Eigen::Vector3d& camera = projection_.p_map_camera();
   const Eigen::Vector3f ray = projection_.ray(u, v);
   if (ray.z() < 0.0f) {
-    const float floor_depth_m = -projection_.camera_height_m() / ray.z();
+    const float floor_depth_m = (evidence->floor_m - projection_.camera_height_m()) / ray.z();
     if (contains(place,
                  {camera.x() + ray.x() * floor_depth_m, camera.y() + ray.y() * floor_depth_m})) {
       ++evidence->n_expected;
@@ -109,8 +118,10 @@ void PlaceProbe::judgePixel(const Polygon& place, int u, int v, Owner owner,
   }
   const float depth_m = metres_.ptr<float>(v)[u];
   if (depth_m <= 0.0f) return;
-  if (!contains(place, {camera.x() + ray.x() * depth_m, camera.y() + ray.y() * depth_m})) return;
-  const float height_m = projection_.camera_height_m() + ray.z() * depth_m;
+  const Point2 point{camera.x() + ray.x() * depth_m, camera.y() + ray.y() * depth_m};
+  if (!contains(place, point)) return;
+  const float height_m =
+      projection_.camera_height_m() + ray.z() * depth_m - floor_.height_m(point.x, point.y);
   if (owner == Owner::kSame ||
       (height_m >= projection_.metricHeight(depth_m) && height_m <= range_.band_max_z_m)) {
     ++evidence->n_standing;

@@ -52,30 +52,44 @@ void GridComposer::fillFromVotes(const VoteMap& votes, const CauseTable& causes,
                                  const InitialDisc& disc) {
   const GridFrame& frame = grid_.frame;
   const uint16_t unknown =
-      params_.unknown_is_unsafe ? addCause(Cause{kUnknownRule, "", 0}) : kNoCause;
+      params_.unknown_is_unsafe ? addCause(Cause{kUnknownRule, "", 0, false}) : kNoCause;
   cause_numbers_.assign(causes.size(), kNoCause);
   for (int y = 0; y < frame.height; ++y) {
-    for (int x = 0; x < frame.width; ++x) {
-      const size_t i = static_cast<size_t>(y) * frame.width + x;
-      const Column* column = votes.find(frame.origin.x + x, frame.origin.y + y);
-      if (column == nullptr) {
-        const double dx = (frame.origin.x + x + 0.5) * frame.resolution_m - disc.centre.x;
-        const double dy = (frame.origin.y + y + 0.5) * frame.resolution_m - disc.centre.y;
-        const bool prior = dx * dx + dy * dy <= disc.radius_m * disc.radius_m;
-        grid_.n_safe[i] = prior ? 1 : 0;
-        if (prior) grid_.state[i] = CellState::kSafe;
-        if (!prior) grid_.cause[i] = unknown;
-        continue;
+    for (int x = 0, n = 0; x < frame.width; x += n) {
+      n = frame.width - x;
+      const Column* columns = votes.findRow(frame.origin.x + x, frame.origin.y + y, &n);
+      for (int k = 0; k < n; ++k) {
+        const size_t i = static_cast<size_t>(y) * frame.width + x + k;
+        if (columns == nullptr || columns[k].counts.empty()) {
+          // What was seen once and is forgotten is unknown, not what was assumed at first.
+          const bool had_votes = columns != nullptr && columns[k].seen;
+          fillUnknown(had_votes ? InitialDisc() : disc, x + k, y, unknown);
+          continue;
+        }
+        const Column& column = columns[k];
+        grid_.n_safe[i] = column.counts.n_safe;
+        grid_.n_unsafe[i] = column.counts.n_unsafe;
+        const bool safe = isSafe(column.counts, params_.vote.tau);
+        grid_.state[i] = safe ? CellState::kSafe : CellState::kUnsafe;
+        if (safe || column.cause == kNoCause) continue;
+        uint16_t& number = cause_numbers_[column.cause];
+        if (number == kNoCause) number = addCause(causes.at(column.cause));
+        grid_.cause[i] = number;
       }
-      grid_.n_safe[i] = column->counts.n_safe;
-      grid_.n_unsafe[i] = column->counts.n_unsafe;
-      const bool safe = isSafe(column->counts, params_.vote.tau);
-      grid_.state[i] = safe ? CellState::kSafe : CellState::kUnsafe;
-      if (safe || column->cause == kNoCause) continue;
-      uint16_t& number = cause_numbers_[column->cause];
-      if (number == kNoCause) number = addCause(causes.at(column->cause));
-      grid_.cause[i] = number;
     }
+  }
+}
+
+void GridComposer::fillUnknown(const InitialDisc& disc, int x, int y, uint16_t cause) {
+  const GridFrame& frame = grid_.frame;
+  const size_t i = static_cast<size_t>(y) * frame.width + x;
+  const double dx = (frame.origin.x + x + 0.5) * frame.resolution_m - disc.centre.x;
+  const double dy = (frame.origin.y + y + 0.5) * frame.resolution_m - disc.centre.y;
+  if (dx * dx + dy * dy <= disc.radius_m * disc.radius_m) {
+    grid_.n_safe[i] = 1;
+    grid_.state[i] = CellState::kSafe;
+  } else {
+    grid_.cause[i] = cause;
   }
 }
 

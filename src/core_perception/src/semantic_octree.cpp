@@ -8,6 +8,12 @@
 
 namespace core_perception {
 
+namespace {
+
+constexpr size_t kMostChanges = 10000;  // nobody may ever take them
+
+}  // namespace
+
 void SemanticOcTreeNode::copyData(const SemanticOcTreeNode& from) {
   octomap::OcTreeNode::copyData(from);
   n_safe_ = from.n_safe_;
@@ -89,8 +95,14 @@ SemanticOcTreeNode* SemanticOcTree::touch(const octomap::OcTreeKey& key) {
 void SemanticOcTree::erase(const octomap::OcTreeKey& key) {
   if (search(key) == nullptr) return;
   touch(key);  // expands a pruned leaf on the way and fills path_
+  eraseUpward(key, kDepth);
+}
+
+/// Removes the last node of path_, which has this depth, with inner nodes that become empty.
+void SemanticOcTree::eraseUpward(const octomap::OcTreeKey& key, unsigned depth) {
   path_valid_ = false;
-  for (unsigned depth = kDepth; depth > 0; --depth) {
+  ++layout_;
+  for (; depth > 0; --depth) {
     SemanticOcTreeNode* parent = path_[depth - 1];
     deleteNodeChild(parent, octomap::computeChildIdx(key, static_cast<int>(kDepth - depth)));
     if (nodeHasChildren(parent)) return;
@@ -99,28 +111,60 @@ void SemanticOcTree::erase(const octomap::OcTreeKey& key) {
   clear();  // a root without children would stand for the whole world
 }
 
+void SemanticOcTree::eraseCube(const octomap::OcTreeKey& key, unsigned depth) {
+  path_valid_ = false;
+  path_[0] = root;
+  for (unsigned d = 0; d < depth; ++d) {
+    if (path_[d] == nullptr) return;
+    const unsigned child = octomap::computeChildIdx(key, static_cast<int>(kDepth - 1 - d));
+    const bool pruned_leaf = path_[d]->n_safe() > 0 || path_[d]->n_unsafe() > 0;
+    if (pruned_leaf) expandNode(path_[d]);
+    path_[d + 1] = nodeChildExists(path_[d], child) ? getNodeChild(path_[d], child) : nullptr;
+  }
+  if (path_[depth] == nullptr) return;
+  eraseBelow(path_[depth]);
+  eraseUpward(key, depth);
+  const unsigned edge = 1u << (kDepth - depth), step = 1u << (kDepth - kBlockDepth);
+  for (unsigned x = 0; x < edge; x += step) {
+    for (unsigned y = 0; y < edge; y += step) {
+      for (unsigned z = 0; z < edge; z += step) {
+        noteChange(octomap::OcTreeKey(static_cast<octomap::key_type>((key[0] & ~(edge - 1)) + x),
+                                      static_cast<octomap::key_type>((key[1] & ~(edge - 1)) + y),
+                                      static_cast<octomap::key_type>((key[2] & ~(edge - 1)) + z)));
+      }
+    }
+  }
+}
+
+void SemanticOcTree::eraseBelow(SemanticOcTreeNode* node) {
+  if (!nodeHasChildren(node)) return;
+  for (unsigned i = 0; i < 8; ++i) {
+    if (!nodeChildExists(node, i)) continue;
+    eraseBelow(getNodeChild(node, i));
+    deleteNodeChild(node, i);
+  }
+  node->freeChildren();
+}
+
 void SemanticOcTree::clear() {
   path_valid_ = false;
+  ++layout_;
   noteChangeEverywhere();
   octomap::OccupancyOcTreeBase<SemanticOcTreeNode>::clear();
 }
 
 void SemanticOcTree::prune() {
   path_valid_ = false;
+  ++layout_;
   noteChangeEverywhere();
   octomap::OccupancyOcTreeBase<SemanticOcTreeNode>::prune();
 }
 
 void SemanticOcTree::expand() {
   path_valid_ = false;
+  ++layout_;
   noteChangeEverywhere();
   octomap::OccupancyOcTreeBase<SemanticOcTreeNode>::expand();
-}
-
-uint64_t SemanticOcTree::blockOf(const octomap::OcTreeKey& key) {
-  constexpr unsigned kShift = kDepth - kBlockDepth;
-  return (static_cast<uint64_t>(key[0] >> kShift) << 32) |
-         (static_cast<uint64_t>(key[1] >> kShift) << 16) | (key[2] >> kShift);
 }
 
 SemanticOcTree::Changes SemanticOcTree::takeChanges() {
@@ -131,11 +175,11 @@ SemanticOcTree::Changes SemanticOcTree::takeChanges() {
   return changes;
 }
 
-void SemanticOcTree::noteChange(const octomap::OcTreeKey& key) {
-  const uint64_t block = blockOf(key);
-  if (block == last_changed_ || changes_.everywhere) return;
+void SemanticOcTree::noteBlock(uint64_t block) {
+  if (changes_.everywhere) return;
   last_changed_ = block;
   changes_.blocks.insert(block);
+  if (changes_.blocks.size() > kMostChanges) noteChangeEverywhere();
 }
 
 void SemanticOcTree::noteChangeEverywhere() {

@@ -47,18 +47,53 @@ PixelSet closeGaps(const PixelSet& set) {
   return closed;
 }
 
-/// Joins runs that overlap; n_open[u] is the number that begin at u minus the number that end
-/// there. Leaves n_open all zero.
-void appendJoined(const Run& bounds, std::vector<int>* n_open, PixelSet* set) {
-  int depth = 0, first = 0;
-  for (int u = bounds.first; u <= bounds.end; ++u) {
-    const int before = depth;
-    depth += (*n_open)[u];
-    (*n_open)[u] = 0;
-    if (before == 0 && depth > 0) first = u;
-    if (before > 0 && depth == 0) set->append({first, u});
+/// A set of pixels as bits, for the union of many runs.
+class BitImage {
+ public:
+  BitImage(int width, int height)
+      : width_(width),
+        height_(height),
+        words_(width / kBits + 1),
+        bits_(static_cast<size_t>(words_) * height, 0) {}
+
+  /// Adds a run, which must not be empty, to a row.
+  void add(const Run& run, int row) {
+    uint64_t* words = &bits_[static_cast<size_t>(row) * words_];
+    const int first = run.first / kBits, last = (run.end - 1) / kBits;
+    const uint64_t from = ~uint64_t{0} << run.first % kBits;
+    const uint64_t to = ~uint64_t{0} >> (kBits - 1 - (run.end - 1) % kBits);
+    words[first] |= first == last ? from & to : from;
+    for (int i = first + 1; i < last; ++i) words[i] = ~uint64_t{0};
+    if (first < last) words[last] |= to;
   }
-}
+
+  PixelSet findRuns() const {
+    PixelSet set(width_, height_);
+    for (int v = 0; v < height_; ++v) {
+      // Where a bit differs from the one before it a run begins or ends; the last bit is never set.
+      uint64_t before = 0;
+      int first = -1;
+      for (int i = 0; i < words_; ++i) {
+        const uint64_t word = bits_[static_cast<size_t>(v) * words_ + i];
+        uint64_t edges = word ^ (word << 1 | before);
+        before = word >> (kBits - 1);
+        for (; edges != 0; edges &= edges - 1) {
+          const int u = i * kBits + __builtin_ctzll(edges);
+          if (first >= 0) set.append({first, u});
+          first = first >= 0 ? -1 : u;
+        }
+      }
+      set.closeRow();
+    }
+    return set;
+  }
+
+ private:
+  static constexpr int kBits = 64;
+  int width_, height_;
+  int words_;  ///< of a row
+  std::vector<uint64_t> bits_;
+};
 
 /// First and last pixel of every row that has one; no other can be a corner of the hull.
 std::vector<cv::Point> findRowEnds(const PixelSet& set) {
@@ -76,28 +111,21 @@ std::vector<cv::Point> findRowEnds(const PixelSet& set) {
 PixelSet dilateAround(const PixelSet& set, int kernel_px) {
   const std::vector<KernelRow> kernel = makeKernel(kernel_px);
   const PixelSet closed = closeGaps(set);
-  PixelSet result(set.width(), set.height());
-  std::vector<int> n_open(static_cast<size_t>(set.width()) + 1, 0);
+  BitImage result(set.width(), set.height());
   for (int v = 0; v < set.height(); ++v) {
-    Run bounds{set.width(), 0};
+    if (set.begin(v) == set.end(v)) continue;
     for (const KernelRow& row : kernel) {
-      const int from = v - row.down;
-      if (from < 0 || from >= set.height()) continue;
+      const int to = v + row.down;
+      if (to < 0 || to >= set.height()) continue;
       const PixelSet& source = row.closesGaps() ? closed : set;
-      for (const Run* run = source.begin(from); run != source.end(from); ++run) {
-        const int first = std::max(run->first + row.left, 0);
-        const int end = std::min(run->end + row.right, set.width());
-        if (first >= end) continue;
-        ++n_open[first];
-        --n_open[end];
-        bounds.first = std::min(bounds.first, first);
-        bounds.end = std::max(bounds.end, end);
+      for (const Run* run = source.begin(v); run != source.end(v); ++run) {
+        const Run grown{std::max(run->first + row.left, 0),
+                        std::min(run->end + row.right, set.width())};
+        if (grown.first < grown.end) result.add(grown, to);
       }
     }
-    appendJoined(bounds, &n_open, &result);
-    result.closeRow();
   }
-  return result;
+  return result.findRuns();
 }
 
 PixelSet fillBetween(const PixelSet& set) {
@@ -124,10 +152,10 @@ PixelSet fillBetween(const PixelSet& set) {
   return result;
 }
 
-void ImageRegions::compute(const cv::Mat& labels, const std::vector<LabelClass>& classes,
+void ImageRegions::compute(const LabelRuns& labels, const std::vector<LabelClass>& classes,
                            const std::vector<Predicate>& predicates) {
   findClasses(labels, classes, predicates);
-  image_.create(labels.rows, labels.cols, CV_8UC1);
+  image_.create(labels.height(), labels.width(), CV_8UC1);
   image_.setTo(cv::Scalar(kNoRegion));
   for (const Predicate& predicate : predicates) {
     if (!predicate.isUnsafe()) paint(predicate, kSafeRegion);
@@ -138,7 +166,7 @@ void ImageRegions::compute(const cv::Mat& labels, const std::vector<LabelClass>&
   }
 }
 
-void ImageRegions::findClasses(const cv::Mat& labels, const std::vector<LabelClass>& classes,
+void ImageRegions::findClasses(const LabelRuns& labels, const std::vector<LabelClass>& classes,
                                const std::vector<Predicate>& predicates) {
   names_.clear();
   for (const Predicate& predicate : predicates) names_.push_back(predicate.class_name);
@@ -151,13 +179,11 @@ void ImageRegions::findClasses(const cv::Mat& labels, const std::vector<LabelCla
     if (spoken_of) class_of_[label.id] = static_cast<uint16_t>(at - names_.begin() + 1);
   }
   sets_.resize(names_.size());
-  for (PixelSet& set : sets_) set.reset(labels.cols, labels.rows);
-  for (int v = 0; v < labels.rows; ++v) {
-    const uint16_t* row = labels.ptr<uint16_t>(v);
-    for (int u = 0, end = 0; u < labels.cols; u = end) {
-      for (end = u + 1; end < labels.cols && row[end] == row[u];) ++end;
-      const uint16_t number = class_of_[row[u]];
-      if (number > 0) sets_[number - 1].append({u, end});
+  for (PixelSet& set : sets_) set.reset(labels.width(), labels.height());
+  for (int v = 0; v < labels.height(); ++v) {
+    for (const LabelRuns::LabelRun* run = labels.begin(v); run != labels.end(v); ++run) {
+      const uint16_t number = class_of_[run->label];
+      if (number > 0) sets_[number - 1].append(*run);
     }
     for (PixelSet& set : sets_) set.closeRow();
   }

@@ -1,37 +1,26 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "core_perception/vote_map.h"
 
+#include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <utility>
+
+#include "core_perception/voxel_key.h"
 
 namespace core_perception {
 namespace {
 
-constexpr int kKeyOffset = SemanticOcTree::kKeyOffset;
-
-bool makeKey(const VoxelIndex& voxel, octomap::OcTreeKey* key) {
-  const int values[] = {voxel.x + kKeyOffset, voxel.y + kKeyOffset, voxel.z + kKeyOffset};
-  for (int i = 0; i < 3; ++i) {
-    if (values[i] < 0 || values[i] >= 2 * kKeyOffset) return false;
-    (*key)[i] = static_cast<octomap::key_type>(values[i]);
-  }
-  return true;
-}
-
-VoxelIndex indexOf(const octomap::OcTreeKey& key) {
-  return {key[0] - kKeyOffset, key[1] - kKeyOffset, key[2] - kKeyOffset};
-}
-
-int floorTo(int value, int step) {
-  return value >= 0 ? value / step : -((step - 1 - value) / step);
-}
-
-uint64_t makeTileKey(int tile_x, int tile_y) {
-  return (static_cast<uint64_t>(static_cast<uint32_t>(tile_x)) << 32) |
-         static_cast<uint32_t>(tile_y);
+/// floor(value / step).
+template <int step>
+int floorTo(int value) {
+  static_assert((step & (step - 1)) == 0, "a power of two: no division is left of it");
+  return (value - (value & (step - 1))) / step;
 }
 
 }  // namespace
+
+constexpr int VoteMap::kTile;
 
 VoteMap::VoteMap(double resolution_m, const RangeParams& range, const VoteParams& vote)
     : vote_(vote),
@@ -49,53 +38,108 @@ VoteMap::VoteMap(double resolution_m, const RangeParams& range, const VoteParams
                 1),
       tree_(resolution_m) {}
 
-void VoteMap::add(const FrameVotes& votes) {
+void VoteMap::add(const FrameVotes& votes, const CauseTable& causes) {
   ++frame_;
   ++version_;
   derived_.clear();
-  for (const uint32_t touched : votes.touched())
-    addToVoxel(votes.indexOf(touched), votes.tally(touched));
+  forgetMovedLeaves();
+  sortByBlock(votes);
+  for (const uint32_t i : sorted_) {
+    const VoxelTally& tally = votes.tallies()[i];
+    addToVoxel(votes.indexOf(tally.voxel), tally, i, causes);
+  }
+  spreadMovers(votes, causes);
   for (const Place& place : derived_) derive(place);
 }
 
-void VoteMap::addToVoxel(const VoxelIndex& voxel, const VoxelTally& tally) {
-  octomap::OcTreeKey key;
-  if (!makeKey(voxel, &key)) return;
-  const bool metric = vote_.metric_layer && tally.n_metric >= vote_.metric_min_points;
-  const uint64_t n_floor = static_cast<uint64_t>(tally.n_safe) + tally.n_unsafe;
-  if (!metric && n_floor == 0) return;
-  const bool unsafe = metric || 2 * static_cast<uint64_t>(tally.n_unsafe) >= n_floor;
-
-  SemanticOcTreeNode* node = tree_.touch(key);
-  Counts counts{node->n_safe(), node->n_unsafe()};
-  if (by_pixel_) {
-    addVotes(tally.n_safe, tally.n_unsafe + tally.n_metric, &counts);
-  } else {
-    addFrameVote(!unsafe, static_cast<uint32_t>(vote_.count_cap), &counts);
+void VoteMap::forgetMovedLeaves() {
+  if (tree_.layout() == layout_) return;
+  layout_ = tree_.layout();
+  for (auto& tile : tiles_) {
+    for (BandVoxel& voxel : tile.second->band) voxel.leaf = nullptr;
   }
-  node->setCounts(counts.n_safe, counts.n_unsafe);
-  if (!isInBand(voxel.z)) return;
-  const Place place = touchPlace(voxel.x, voxel.y);
-  place.band[voxel.z - band_min_] = counts;
-  addToColumn(tally, metric, unsafe, place);
 }
 
-void VoteMap::addToColumn(const VoxelTally& tally, bool metric, bool unsafe, const Place& place) {
-  Column& column = *place.column;
-  if (column.derived_frame != frame_) {
-    column.derived_frame = frame_;
+/// The path from one voxel to the next through the tree is short within a block. Counting sort; of
+/// the blocks' indices the last digits are enough.
+void VoteMap::sortByBlock(const FrameVotes& votes) {
+  constexpr int kBlock = 1 << (16 - SemanticOcTree::kBlockDepth);
+  constexpr unsigned kDigits = 8;
+  const auto digit = [](int index) {
+    return static_cast<unsigned>(floorTo<kBlock>(index)) % kDigits;
+  };
+  const std::vector<VoxelTally>& tallies = votes.tallies();
+  blocks_.resize(tallies.size());
+  sorted_.resize(tallies.size());
+  uint32_t ends[kDigits * kDigits * kDigits + 1] = {};
+  for (size_t i = 0; i < tallies.size(); ++i) {
+    const VoxelIndex voxel = votes.indexOf(tallies[i].voxel);
+    const unsigned block = (digit(voxel.x) * kDigits + digit(voxel.y)) * kDigits + digit(voxel.z);
+    blocks_[i] = static_cast<uint16_t>(block);
+    ++ends[block + 1];
+  }
+  for (size_t i = 1; i < sizeof(ends) / sizeof(ends[0]); ++i) ends[i] += ends[i - 1];
+  for (size_t i = 0; i < tallies.size(); ++i)
+    sorted_[ends[blocks_[i]]++] = static_cast<uint32_t>(i);
+}
+
+/// @param number of the tally in the frame.
+void VoteMap::addToVoxel(const VoxelIndex& voxel, const VoxelTally& tally, uint32_t number,
+                         const CauseTable& causes) {
+  octomap::OcTreeKey key;
+  if (!makeKey(voxel, &key)) return;
+  const bool metric = isMetric(tally);
+  const uint64_t n_floor = static_cast<uint64_t>(tally.n_safe()) + tally.n_unsafe();
+  if (!metric && n_floor == 0) return;
+  const bool unsafe = metric || 2 * static_cast<uint64_t>(tally.n_unsafe()) >= n_floor;
+
+  if (unsafe) noteMover(voxel, tally.cause[metric ? kMetricVote : kUnsafeVote], causes);
+  if (!isInBand(voxel.z)) {
+    SemanticOcTreeNode* leaf = tree_.touch(key);
+    Counts counts{leaf->n_safe(), leaf->n_unsafe()};
+    addVotesOf(tally, unsafe, &counts);
+    leaf->setCounts(counts.n_safe, counts.n_unsafe);
+    return;
+  }
+  const Place place = touchPlace(voxel.x, voxel.y);
+  BandVoxel& seen = touchBand(voxel, place);
+  if (seen.leaf == nullptr) seen.leaf = tree_.touch(key);
+  addVotesOf(tally, unsafe, &seen.counts);
+  tree_.setCounts(key, seen.counts.n_safe, seen.counts.n_unsafe, seen.leaf);
+  place.column->seen = true;
+  if (place.column->derived_frame != frame_) {
+    place.column->derived_frame = frame_;
     derived_.push_back(place);
   }
-  if (unsafe && (metric || column.cause_frame != frame_)) {
-    column.cause = metric ? tally.metric_cause : tally.cause;
-    column.cause_frame = frame_;
+  // A metric cause comes before others; of these the newest counts, of the others the first.
+  constexpr uint32_t kMetric = 1u << 31;
+  if (metric) noteCause(tally.cause[kMetricVote], kMetric + number, place.column);
+  if (unsafe && !metric) noteCause(tally.cause[kUnsafeVote], kMetric - 1 - number, place.column);
+}
+
+bool VoteMap::isMetric(const VoxelTally& tally) const {
+  return vote_.metric_layer && tally.n_metric() >= static_cast<uint32_t>(vote_.metric_min_points);
+}
+
+void VoteMap::addVotesOf(const VoxelTally& tally, bool unsafe, Counts* counts) const {
+  if (by_pixel_) {
+    addVotes(tally.n_safe(), tally.n_unsafe() + tally.n_metric(), counts);
+  } else {
+    addFrameVote(!unsafe, static_cast<uint32_t>(vote_.count_cap), counts);
   }
+}
+
+void VoteMap::noteCause(uint16_t cause, uint32_t rank, Column* column) const {
+  if (column->cause_frame == frame_ && rank < column->cause_rank) return;
+  column->cause = cause;
+  column->cause_frame = frame_;
+  column->cause_rank = rank;
 }
 
 Counts VoteMap::counts(const VoxelIndex& voxel) const {
   if (isInBand(voxel.z)) {
     const Place place = findPlace(voxel.x, voxel.y);
-    return place.band == nullptr ? Counts() : place.band[voxel.z - band_min_];
+    return place.column == nullptr ? Counts() : place.voxel(voxel.z - band_min_).counts;
   }
   octomap::OcTreeKey key;
   if (!makeKey(voxel, &key)) return Counts();
@@ -105,7 +149,8 @@ Counts VoteMap::counts(const VoxelIndex& voxel) const {
 
 void VoteMap::derive(const Place& place) const {
   Counts counts;
-  for (int i = 0; i <= band_max_ - band_min_; ++i) joinColumn(place.band[i], by_sum_, &counts);
+  for (int i = place.column->first_layer; i < place.column->end_layer; ++i)
+    joinColumn(place.voxel(i).counts, by_sum_, &counts);
   place.column->counts = counts;
 }
 
@@ -113,18 +158,30 @@ void VoteMap::derive(const Place& place) const {
 void VoteMap::setVoxel(const VoxelIndex& voxel, const Counts& counts) {
   octomap::OcTreeKey key;
   if (!makeKey(voxel, &key)) return;
+  SemanticOcTreeNode* leaf = nullptr;
   if (counts.empty()) {
+    forgetMovedLeaves();
     tree_.erase(key);
+    layout_ = tree_.layout();  // no other leaf has moved
   } else {
-    tree_.touch(key)->setCounts(counts.n_safe, counts.n_unsafe);
+    leaf = tree_.touch(key);
+    leaf->setCounts(counts.n_safe, counts.n_unsafe);
   }
-  if (isInBand(voxel.z)) touchPlace(voxel.x, voxel.y).band[voxel.z - band_min_] = counts;
+  if (isInBand(voxel.z)) touchBand(voxel, touchPlace(voxel.x, voxel.y)) = {counts, leaf};
+}
+
+VoteMap::BandVoxel& VoteMap::touchBand(const VoxelIndex& voxel, const Place& place) {
+  const auto layer = static_cast<uint16_t>(voxel.z - band_min_);
+  place.column->first_layer = std::min(place.column->first_layer, layer);
+  place.column->end_layer = std::max<uint16_t>(place.column->end_layer, layer + 1);
+  return place.voxel(layer);
 }
 
 void VoteMap::contradictVoxel(const VoxelIndex& voxel) {
   Counts left = counts(voxel);
   if (left.n_unsafe == 0 || !isInBand(voxel.z)) return;
   contradict(&left);
+  if (left.n_unsafe == 0) mobile_.remove(voxel);
   ++version_;
   setVoxel(voxel, left);
   derive(touchPlace(voxel.x, voxel.y));
@@ -149,6 +206,7 @@ int VoteMap::clearBox(const Eigen::Vector3d& min_m, const Eigen::Vector3d& max_m
 
 void VoteMap::load(const SemanticOcTree& saved, bool with_safe, uint16_t cause) {
   ++version_;
+  mobile_.clear();
   const auto end = saved.end_leafs();
   for (auto leaf = saved.begin_leafs(); leaf != end; ++leaf) {
     Counts counts{leaf->n_safe(), leaf->n_unsafe()};
@@ -166,22 +224,23 @@ void VoteMap::load(const SemanticOcTree& saved, bool with_safe, uint16_t cause) 
       const Place place = touchPlace(voxel.x, voxel.y);
       derive(place);
       place.column->cause = cause;
+      place.column->seen = true;
     }
   }
 }
 
 VoteMap::Place VoteMap::findPlace(int x, int y) const {
-  const int tile_x = floorTo(x, kTile), tile_y = floorTo(y, kTile);
+  const int tile_x = floorTo<kTile>(x), tile_y = floorTo<kTile>(y);
   const uint64_t key = makeTileKey(tile_x, tile_y);
-  if (last_tile_ == nullptr || key != last_tile_key_) {
+  NearTile& near =
+      near_[static_cast<unsigned>(tile_x) % kNear * kNear + static_cast<unsigned>(tile_y) % kNear];
+  if (near.tile == nullptr || near.key != key) {
     const auto it = tiles_.find(key);
     if (it == tiles_.end()) return Place();
-    last_tile_ = it->second.get();
-    last_tile_key_ = key;
+    near = {key, it->second.get()};
   }
   const size_t i = static_cast<size_t>(y - tile_y * kTile) * kTile + (x - tile_x * kTile);
-  const auto layers = static_cast<size_t>(band_max_ - band_min_ + 1);
-  return {&last_tile_->columns[i], &last_tile_->band[i * layers]};
+  return {&near.tile->columns[i], &near.tile->band[i]};
 }
 
 VoteMap::Place VoteMap::touchPlace(int x, int y) {
@@ -190,7 +249,7 @@ VoteMap::Place VoteMap::touchPlace(int x, int y) {
   auto tile = std::make_unique<Tile>();
   tile->columns.resize(kTile * kTile);
   tile->band.resize(static_cast<size_t>(kTile * kTile) * (band_max_ - band_min_ + 1));
-  tiles_[makeTileKey(floorTo(x, kTile), floorTo(y, kTile))] = std::move(tile);
+  tiles_[makeTileKey(floorTo<kTile>(x), floorTo<kTile>(y))] = std::move(tile);
   return findPlace(x, y);
 }
 
@@ -199,10 +258,18 @@ const Column* VoteMap::find(int x, int y) const {
   return place.column == nullptr || place.column->counts.empty() ? nullptr : place.column;
 }
 
+void VoteMap::forgetNearTiles() const { std::fill(std::begin(near_), std::end(near_), NearTile()); }
+
+const Column* VoteMap::findRow(int x, int y, int* n_columns) const {
+  *n_columns = std::min(*n_columns, (floorTo<kTile>(x) + 1) * kTile - x);
+  return findPlace(x, y).column;
+}
+
 void VoteMap::clear() {
+  mobile_.clear();
   tree_.clear();
   tiles_.clear();
-  last_tile_ = nullptr;
+  forgetNearTiles();
   frame_ = 0;
   ++version_;
 }

@@ -58,4 +58,14 @@ void contradict(Counts* counts) {
   if (counts->n_unsafe > 0) --counts->n_unsafe;
 }
 
+void fadeVotes(bool keep_safe, Counts* counts) {
+  if (counts->n_unsafe == 0) return;
+  const uint32_t left = counts->n_unsafe / 2;
+  if (!keep_safe) {
+    counts->n_safe =
+        static_cast<uint32_t>(static_cast<uint64_t>(counts->n_safe) * left / counts->n_unsafe);
+  }
+  counts->n_unsafe = left;
+}
+
 }  // namespace core_perception

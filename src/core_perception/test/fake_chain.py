@@ -164,9 +164,13 @@ class FakeChain:
 
 
 class FakeCamera:
-    """A level camera 0.6 m above the ground, looking along x of odom at a box, over a grid that is all safe."""
+    """A level camera 0.6 m above the floor, looking along x of odom at a box, over a grid that is all safe.
 
-    width_px, height_px, focal_px, height_m, box_m = 240, 180, 180.0, 0.6, 3.0
+    As many real ones: colour is stamped after depth, camera_info is for larger images, the floor is not at z = 0.
+    """
+
+    width_px, height_px, focal_px, height_m, floor_z_m, box_m = 240, 180, 180.0, 0.6, 0.8, 3.0
+    color_late = rospy.Duration(0, 9_000_000)
     box_rows, box_columns = slice(70, 115), slice(90, 150)
 
     def __init__(self, namespace):
@@ -183,13 +187,13 @@ class FakeCamera:
     def publish_until_drawn(self, stamp):
         """Publish one frame after another, as a camera does, until an overlay comes."""
         rotation = Quaternion(-0.5, 0.5, -0.5, 0.5)  # optical z, x, y = odom x, -y, -z
-        pose = Transform(Vector3(0.0, 0.0, self.height_m), rotation)
+        pose = Transform(Vector3(0.0, 0.0, self.floor_z_m + self.height_m), rotation)
         header = Header(stamp=stamp, frame_id="camera_color_optical_frame")
         self._broadcaster.sendTransform(TransformStamped(Header(stamp=stamp, frame_id="odom"), header.frame_id, pose))
         wait_for(lambda: all(p.get_num_connections() for p in self._publishers.values()), "the overlay's subscriptions")
 
         def drawn():
-            header.stamp += rospy.Duration(0, 10_000_000)
+            header.stamp += rospy.Duration(0, 50_000_000)
             self._publish(header)
             return self._drawn.messages
 
@@ -201,11 +205,13 @@ class FakeCamera:
             depth = np.where(v > 90, self.height_m * self.focal_px / np.maximum(v - 90, 1e-9), np.nan)
         depth[self.box_rows, self.box_columns] = self.box_m
         color = np.full((self.height_px, self.width_px, 3), 128, np.uint8)
-        info = CameraInfo(header=header, K=[self.focal_px, 0, 120, 0, self.focal_px, 90, 0, 0, 1])
+        focal_px = 2 * self.focal_px
+        info = CameraInfo(header=header, K=[focal_px, 0, 240.5, 0, focal_px, 180.5, 0, 0, 1])
+        info.width, info.height = 2 * self.width_px, 2 * self.height_px
         grid = SafetyGrid(header=Header(stamp=header.stamp, frame_id="odom"), resolution_m=0.1, width=200, height=200)
         grid.origin_x_m, grid.origin_y_m, grid.state = -10.0, -10.0, bytes(200 * 200)
         messages = [
-            array_to_image(color, "rgb8", header),
+            array_to_image(color, "rgb8", Header(stamp=header.stamp + self.color_late, frame_id=header.frame_id)),
             array_to_image(depth.astype(np.float32), "32FC1", header),
             info,
             grid,

@@ -2,6 +2,7 @@
 """Parameters: the shipped files load, every wrong value is refused in one line, defaults and files agree."""
 
 import dataclasses
+import re
 
 import pytest
 import yaml
@@ -36,6 +37,25 @@ def test_surfaces_of_the_map_are_surfaces_of_the_list(config_dir, ontology, prof
     for name in section["surface_classes"]:
         assert name in ontology.classes
         assert ontology.look_up(name).is_surface
+
+
+def test_what_moves_for_the_map_is_what_moves_by_the_list(config_dir, ontology):
+    mobile = sorted(name for name, known in ontology.classes.items() if known.mobile)
+    core, paper = (
+        yaml.safe_load((config_dir / f"{profile}.yaml").read_text(encoding="utf-8"))["semantic_map"]
+        for profile in ("core", "paper")
+    )
+    assert len(mobile) > 20
+    assert sorted(core["mobile_classes"]) == mobile
+    assert paper["mobile_classes"] == []
+
+
+@pytest.mark.parametrize("key", ["surface_classes", "mobile_classes"])
+def test_lists_of_the_map_are_its_defaults_too(config_dir, key):
+    header = (config_dir.parent / "include/core_perception/params.h").read_text(encoding="utf-8")
+    default = re.search(r"%s = \{(.*?)\};" % key, header, re.DOTALL).group(1)
+    section = yaml.safe_load((config_dir / "core.yaml").read_text(encoding="utf-8"))["semantic_map"]
+    assert re.findall(r'"(\w+)"', default) == section[key]
 
 
 BAD = [

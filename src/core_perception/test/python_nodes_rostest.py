@@ -190,7 +190,7 @@ def test_bad_parameter_ends_the_node_with_one_line_and_status_2(chain, name, par
 
 def test_overlay_tints_safe_ground_green_and_obstacles_red(chain):
     camera = FakeCamera(chain.namespace)
-    chain.start("safety_overlay", scale=1, rate_hz=100.0)
+    chain.start("safety_overlay", scale=1, rate_hz=100.0, floor_z_m=camera.floor_z_m)
     picture = image_to_array(camera.publish_until_drawn(rospy.Time.now()))
     assert picture.shape == (camera.height_px, camera.width_px, 3)
     red, green, _ = np.moveaxis(picture.astype(int), 2, 0)

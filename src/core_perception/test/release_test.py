@@ -358,6 +358,17 @@ def test_join_keeps_no_more_than_its_capacity():
     assert join.add("b", 7, 7) == {"a": 7, "b": 7}
 
 
+def test_join_tells_what_a_frame_waits_for():
+    join = StampedJoin("labels", "label_info")
+    assert join.missing == "no labels and no label_info came"
+    join.add("labels", 1, "a")
+    assert join.missing == "no label_info came"
+    join.add("label_info", 2, "b")
+    assert join.missing == "labels and label_info come, but not with one stamp"
+    join.add("labels", 2, "c")
+    assert join.missing == ""
+
+
 def test_join_with_a_slop_takes_the_nearest_and_nothing_farther():
     join = StampedJoin("image", "labels", slop_ns=10)
     for stamp_ns in (100, 108, 130):

@@ -4,7 +4,9 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <limits>
+#include <random>
 #include <string>
 #include <vector>
 
@@ -26,15 +28,23 @@ struct Cylinder {
 /// 0.25 rad down.
 struct Scene {
   std::vector<Cylinder> cylinders;
+  /// Height of uneven ground and of what lies on it, found to a millimetre; none: the plane z = 0.
+  std::function<double(double x_m, double y_m)> ground;
+  double ground_top_m = 0.0;  ///< the ground is nowhere higher
+  Camera view = camera();
 
   static Camera camera() { return Camera{274.9, 376.7, 250.0, 160.0, 500, 320}; }
 
   Frame render(double stamp_s, double x_m, double y_m, double yaw_rad) const {
+    return render(stamp_s, x_m, y_m, pose(x_m, y_m, yaw_rad));
+  }
+
+  Frame render(double stamp_s, double x_m, double y_m, const Pose& T_map_camera) const {
     Frame frame;
     frame.stamp_s = stamp_s;
-    frame.camera = camera();
+    frame.camera = view;
     frame.p_map_base = {x_m, y_m};
-    frame.T_map_camera = pose(x_m, y_m, yaw_rad);
+    frame.T_map_camera = T_map_camera;
     frame.classes.push_back({1, "floor"});
     frame.classes_evaluated = {"floor"};
     for (size_t i = 0; i < cylinders.size(); ++i) {
@@ -72,6 +82,7 @@ struct Scene {
         Eigen::Vector3d((u - c.cx_px) / c.fx_px, (v - c.cy_px) / c.fy_px, 1.0);
     const Eigen::Vector3d o = frame->T_map_camera.translation();
     double best = d.z() < 0.0 ? -o.z() / d.z() : std::numeric_limits<double>::infinity();
+    if (ground) best = meetGround(o, d);
     uint16_t label = 1;
     for (size_t i = 0; i < cylinders.size(); ++i) {
       const double t = intersect(cylinders[i], o, d);
@@ -82,6 +93,27 @@ struct Scene {
     if (!(best < 30.0)) return;
     frame->depth.at<float>(v, u) = static_cast<float>(best);
     frame->labels.at<uint16_t>(v, u) = label;
+  }
+
+  /// Ray parameter where a ray from above first goes below the ground, infinite for none near.
+  double meetGround(const Eigen::Vector3d& o, const Eigen::Vector3d& d) const {
+    constexpr double kStep = 0.02, kFarthest = 9.0;
+    const auto isBelow = [&](double t) {
+      return o.z() + t * d.z() < ground(o.x() + t * d.x(), o.y() + t * d.y());
+    };
+    if (o.z() > ground_top_m && d.z() >= 0.0) return std::numeric_limits<double>::infinity();
+    double above = o.z() > ground_top_m ? (ground_top_m - o.z()) / d.z() : 0.0;
+    double below = above;
+    while (!isBelow(below)) {
+      above = below;
+      below += kStep;
+      if (below > kFarthest) return std::numeric_limits<double>::infinity();
+    }
+    while (below - above > 1e-4) {
+      const double middle = 0.5 * (above + below);
+      (isBelow(middle) ? below : above) = middle;
+    }
+    return 0.5 * (above + below);
   }
 
   /// Ray parameter at the mantle or the lid, infinite for none.
@@ -102,6 +134,18 @@ struct Scene {
     return best;
   }
 };
+
+/// Noise of a stereo camera of 50 mm baseline: sigma grows with the square of depth, to 6 cm at 7
+/// m.
+inline void addStereoNoise(std::mt19937* random, Frame* frame) {
+  std::normal_distribution<float> normal;
+  for (int v = 0; v < frame->depth.rows; ++v) {
+    for (int u = 0; u < frame->depth.cols; ++u) {
+      float& depth_m = frame->depth.at<float>(v, u);
+      depth_m += 0.0012f * depth_m * depth_m * normal(*random);
+    }
+  }
+}
 
 inline Predicate makePredicate(SpatialOperator spatial_operator, const std::string& class_name,
                                Verdict verdict, double radius_m = 0.0) {
@@ -145,7 +189,10 @@ inline SemanticMapParams makePaperParams() {
   p.vote.votes = "pixel";
   p.vote.column = "sum";
   p.vote.count_cap = 0;
+  p.range.local_floor = false;
   p.vote.metric_layer = p.vote.free_space_clearing = false;
+  p.vote.mobile_half_life_s = 0.0;
+  p.instance.mobile_classes.clear();
   return p;
 }
 

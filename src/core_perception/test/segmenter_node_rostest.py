@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 import pytest
+import rosgraph
 import rospy
 from core_msgs.msg import LabelClass, LabelInfo, Predicate, SafetyConstraints
 from diagnostic_msgs.msg import DiagnosticArray
@@ -254,6 +255,19 @@ def test_a_label_info_that_is_none_is_refused(camera, wrong):
     assert camera.chain.labels.messages == []
 
 
+def test_labels_that_never_meet_their_meaning_are_told(camera):
+    camera.start(segmenter="topic")
+    wait_for(lambda: "no label_info and no labels came" in (camera.status() or {}).get("message", ""), "both missing")
+    topic = f"/{camera.namespace}/external_segmentation/labels"
+    assert topic in camera.status()["message"]
+    for k in range(3):
+        image, _ = external(START_NS + k * PERIOD_NS, [])
+        _, info = external(START_NS + k * PERIOD_NS + 1000, [(1, "floor")])
+        camera.send("external_segmentation/labels", image)
+        camera.send("external_segmentation/label_info", info)
+    wait_for(lambda: "come, but not with one stamp" in camera.status()["message"], "different stamps are told")
+
+
 def test_images_of_class_ids_need_no_label_info(camera):
     camera.start(segmenter="topic", lockstep=True, class_map=["0=floor", "11=traffic_cone", "255=none"])
     values = np.zeros((40, 60), np.uint8)
@@ -301,6 +315,32 @@ def test_an_answer_with_a_latency_carries_the_stamp_of_its_image_and_comes_later
     assert all(0.5 <= delay_s < 0.75 for delay_s in delays_s)
     stamps = sorted(came_ns)
     assert min(np.diff(stamps)) >= 0.4e9  # one frame at a time
+
+
+def subscriptions_of(node):
+    """Topics that a node is subscribed to, as the master has it."""
+    _, subscribers, _ = rosgraph.Master("/segmenter_node_rostest").getSystemState()
+    return {topic for topic, nodes in subscribers if node in nodes}
+
+
+def test_no_back_end_but_the_simulated_one_is_connected_to_ground_truth(camera, sidecar, tmp_path):
+    line = b'{"format_version": 1, "stamp_ns": 1, "image_sha256": null, "source": "remote", "latency_s": 0.0, '
+    (tmp_path / "segmentations.jsonl").write_bytes(line + b'"error_cause": "refused", "error_detail": ""}\n')
+    settings = {
+        "remote": {"server_url": sidecar.url},
+        "replay": {"replay_dir": str(tmp_path)},
+        "topic": {},
+        "simulated": {},
+    }
+    for back_end, options in settings.items():
+        process = camera.start(segmenter=back_end, **options)
+        since = len(camera.diagnostics.messages)
+        wait_for(lambda: len(camera.diagnostics.messages) > since, f"diagnostics of {back_end}")  # noqa: B023
+        topics = subscriptions_of(f"/{camera.namespace}/segmenter")
+        assert f"/{camera.namespace}/safety/constraints" in topics
+        assert any("ground_truth" in topic for topic in topics) == (back_end == "simulated"), topics
+        stop_node(process)
+        rospy.delete_param(f"/{camera.namespace}/segmenter")
 
 
 BAD_PARAMETERS = [

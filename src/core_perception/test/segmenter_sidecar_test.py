@@ -19,13 +19,12 @@ import numpy as np
 import pytest
 
 from core_perception.exceptions import ServerError
+from core_perception.json_server import MAX_REQUEST_BYTES, BadRequestError
 from core_perception.reasoners.vlm_client import BackOff
 from core_perception.segmenters.base import SegmenterFrame, check_segmentation
 from core_perception.segmenters.open_names import OpenNames
 from core_perception.segmenters.remote import RemoteSegmenter
 from core_perception.segmenters.sidecar_server import (
-    MAX_REQUEST_BYTES,
-    BadRequestError,
     Found,
     SidecarModel,
     SidecarServer,

@@ -239,6 +239,18 @@ FAULTS = {
     ),
     "depth 5 px both ways": (with_depth(lambda f: moved(f.depth, 5, 5)), "registration_shift"),
     "another field of view": (stretched, "registration_scale"),
+    "labels mirrored": (
+        lambda s: change_frames(s, lambda f: replace(f, labels=np.ascontiguousarray(f.labels[:, ::-1]))),
+        "registration_mirrored",
+    ),
+    "colour turned by half a turn": (
+        lambda s: change_frames(s, lambda f: replace(f, color=np.ascontiguousarray(f.color[::-1, ::-1]))),
+        "registration_mirrored",
+    ),
+    "depth upside down": (
+        lambda s: change_frames(s, lambda f: replace(f, depth=np.ascontiguousarray(f.depth[::-1]), T_map_camera=None)),
+        "registration_mirrored",
+    ),
     "tf 0.12 m low": (raised(-0.12), "floor_height"),
     "tf 0.08 m high": (raised(0.08), "floor_height"),
     "tf pitch 4 degrees": (turned(0, 4.0), "floor_tilt"),
@@ -260,8 +272,8 @@ FAULTS = {
         lambda s: with_info(width_px=s.info.width_px * 2, height_px=s.info.height_px * 3)(s),
         "size_shape",
     ),
-    "region of interest": (with_info(roi=(10, 0, 300, 200)), "size_roi"),
-    "binning": (with_info(binning=(2, 2)), "size_roi"),
+    "region of interest": (with_info(roi=(10, 0, 300, 200)), "size_shape"),
+    "binning": (with_info(binning=(2, 2)), "size_shape"),
     "colour of another shape": (lambda s: replace(s, color_size_px=(1920, 800)), "size_shape"),
     "old stamps": (with_both(shift_stamps(-2.0)), "stamp_old"),
     "clock ahead": (with_both(shift_stamps(0.4)), "stamp_ahead"),
@@ -348,6 +360,44 @@ def test_half_the_size_is_a_note():
     doubled = replace(sample, info=replace(sample.info, K=k, width_px=640, height_px=480))
     assert {f.code for f in check(doubled).findings} == {"size_scaled"}
     assert check(doubled).is_healthy
+
+
+def alike_on_both_sides(f):
+    """The left half twice, and one box at the right that the left does not have."""
+    middle = f.depth.shape[1] // 2
+    depth, labels = (np.concatenate([x[:, :middle], x[:, :middle][:, ::-1]], axis=1) for x in (f.depth_m, f.labels))
+    height_px, width_px = depth.shape
+    where = np.s_[round(0.4 * height_px) : round(0.7 * height_px), round(0.7 * width_px) : round(0.85 * width_px)]
+    depth[where], labels[where] = 1.2, 999
+    return replace(f, depth=depth, labels=labels, color=None)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_mirrored_labels_are_told_in_a_scene_that_is_nearly_alike_on_both_sides(healthy, seed):
+    whole = change_frames(healthy(seed), alike_on_both_sides)
+    assert not codes(whole) & {"registration_shift", "registration_mirrored", "registration_scale"}
+    mirrored = change_frames(whole, lambda f: replace(f, labels=np.ascontiguousarray(f.labels[:, ::-1])))
+    assert "The label images are turned left to right" in sentence_of(mirrored, "registration_mirrored")
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_region_of_interest_and_binning_are_followed(healthy, seed):
+    def part(f, rows, columns):
+        depth, color, labels = (np.ascontiguousarray(x[rows, columns]) for x in (f.depth, f.color, f.labels))
+        return replace(f, depth=depth, color=color, labels=labels)
+
+    sample = healthy(seed)
+    info, left, top = sample.info, 30, 20
+    roi = (left, top, info.width_px - 2 * left, info.height_px - top)
+    cropped = change_frames(sample, lambda f: part(f, slice(top, None), slice(left, -left)))
+    cropped = replace(cropped, color_size_px=roi[2:], info=replace(info, roi=roi))
+    binned = change_frames(sample, lambda f: part(f, slice(None, None, 2), slice(None, None, 2)))
+    binned = replace(
+        binned, color_size_px=(info.width_px // 2, info.height_px // 2), info=replace(info, binning=(2, 2))
+    )
+    for seen in (cropped, binned):
+        assert codes(seen) == set()
+        assert check(seen).is_healthy
 
 
 @pytest.mark.parametrize("seed", range(4))

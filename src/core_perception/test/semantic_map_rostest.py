@@ -119,6 +119,7 @@ class FakeChain:
             for name, kind in self.ANSWERS.items()
         ]
         self.depth, self.labels = render()
+        self.x_m = 0.0  # of robot and camera
 
     def _keep(self, message, name):
         with self.changed:
@@ -134,11 +135,12 @@ class FakeChain:
             return [message for message in self.answers[name] if accept(message)][-1]
 
     def send_pose(self, stamp):
-        """Send both transforms at a stamp; the camera looks along x."""
+        """Send both transforms at a stamp; the camera looks along x, from x_m on it."""
         base, camera = TransformStamped(), TransformStamped()
         base.header.stamp = camera.header.stamp = stamp
         base.header.frame_id, base.child_frame_id = "odom", "base_link"
         base.transform.rotation.w = 1.0
+        base.transform.translation.x = camera.transform.translation.x = self.x_m
         camera.header.frame_id, camera.child_frame_id = "odom", FRAME
         camera.transform.translation.z = CAMERA_HEIGHT_M
         q = camera.transform.rotation

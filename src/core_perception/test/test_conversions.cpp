@@ -341,6 +341,19 @@ TEST_F(OctomapMessages, centres_are_those_of_the_unsafe_voxels) {
   }
 }
 
+TEST(GridMessage, every_cause_comes_with_rule_class_instance_and_motion) {
+  SafetyGrid grid;
+  grid.causes = {Cause{"METRIC", "", 0, false}, Cause{"AROUND(person)", "person", 7, true}};
+  const core_msgs::SafetyGrid message =
+      safetyGridToMessage(grid, std_msgs::Header(), ros::Time(3.0));
+  ASSERT_EQ(message.causes.size(), 2u);
+  EXPECT_EQ(message.causes[0].motion, core_msgs::UnsafeCause::STATIC);
+  EXPECT_EQ(message.causes[1].motion, core_msgs::UnsafeCause::MOBILE);
+  EXPECT_EQ(message.causes[1].rule, "AROUND(person)");
+  EXPECT_EQ(message.causes[1].class_name, "person");
+  EXPECT_EQ(message.causes[1].instance_id, 7u);
+}
+
 TEST(GridUpdate, grid_with_its_updates_equals_the_next_grid) {
   std::mt19937 random(4);
   nav_msgs::OccupancyGrid before;

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <gtest/gtest.h>
 
+#include <map>
+#include <random>
 #include <set>
 
 #include "core_perception/instance_memory.h"
@@ -71,6 +73,147 @@ TEST(InstanceMemory, is_confirmed_by_the_second_sighting_whatever_lies_between) 
   EXPECT_EQ(memory.instances()[0].frames_seen, 2u);
 }
 
+TEST(InstanceMemory, what_moves_is_forgotten_in_time_wherever_it_was_and_what_is_at_rest_never) {
+  const InstanceParams params;
+  for (const auto& probe : {hidden, occupied, other}) {
+    InstanceMemory memory{params};
+    memory.update(1.0, {makeDetection({3, 0}, 0.4, "person"), makeDetection({5, 0})}, hidden);
+    memory.update(1.0 + params.mobile_release_s, {}, probe);
+    EXPECT_EQ(memory.instances().size(), 2u);
+    memory.update(1.1 + params.mobile_release_s, {}, probe);
+    ASSERT_EQ(memory.instances().size(), 1u);
+    EXPECT_EQ(memory.instances()[0].class_name, "cone");
+    memory.update(1e9, {}, hidden);
+    EXPECT_EQ(memory.instances().size(), 1u);
+  }
+  InstanceParams never;
+  never.mobile_release_s = 0.0;
+  InstanceMemory memory{never};
+  memory.update(1.0, {makeDetection({3, 0}, 0.4, "person")}, hidden);
+  memory.update(1e9, {}, hidden);
+  EXPECT_EQ(memory.instances().size(), 1u);
+}
+
+TEST(InstanceMemory, time_of_what_moves_runs_by_stamps_that_may_repeat_or_go_back) {
+  const InstanceParams params;
+  InstanceMemory memory{params};
+  memory.update(1000.0, {makeDetection({3, 0}, 0.4, "person")}, hidden);
+  for (int k = 0; k < 1000; ++k) memory.update(1000.0, {}, hidden);
+  memory.update(5.0, {}, hidden);
+  ASSERT_EQ(memory.instances().size(), 1u);
+  EXPECT_DOUBLE_EQ(memory.instances()[0].last_seen_s, 5.0);
+  memory.update(5.0 + params.mobile_release_s, {}, hidden);
+  EXPECT_EQ(memory.instances().size(), 1u);
+  memory.update(5.1 + params.mobile_release_s, {}, hidden);
+  EXPECT_TRUE(memory.instances().empty());
+}
+
+TEST(InstanceMemory, moving_thing_is_forgotten_in_time_while_its_class_is_put_aside_too) {
+  InstanceMemory memory{InstanceParams()};
+  memory.update(1.0, {makeDetection({3, 0}, 0.4, "person")}, hidden);
+  memory.hideClasses([](const std::string&) { return true; });
+  memory.update(1e3, {}, hidden);
+  memory.hideClasses([](const std::string&) { return false; });
+  EXPECT_TRUE(memory.instances().empty());
+}
+
+TEST(InstanceMemory, footprint_of_what_moves_follows_however_large_it_is) {
+  const InstanceParams params;
+  for (const double edge_m : {0.4, 3.0}) {
+    InstanceMemory memory{params};
+    for (int k = 0; k <= 40; ++k) {
+      const Point2 centre{3.0 + 0.15 * k, 0};
+      memory.update(1.0 + 0.1 * k, {makeDetection(centre, edge_m, "truck")}, hidden);
+      ASSERT_EQ(memory.instances().size(), 1u);
+      const HeldInstance& held = memory.instances()[0];
+      EXPECT_EQ(held.id, 1u);
+      EXPECT_TRUE(held.mobile);
+      EXPECT_LE(computeDiameter(held.footprint), edge_m * std::sqrt(2.0) + params.mobile_slack_m);
+      EXPECT_NEAR(computeCentre(held.footprint).x, centre.x, 0.2);
+      EXPECT_LE(held.cells.size(), 3u);
+    }
+  }
+}
+
+TEST(InstanceMemory, view_that_is_cut_off_does_not_shrink_it_and_leaves_no_trail) {
+  const InstanceParams params;
+  InstanceMemory memory{params};
+  memory.update(1.0, {makeDetection({3, 0}, 1.2, "forklift")}, hidden);
+  const double whole_m = computeDiameter(memory.instances()[0].footprint);
+  memory.update(1.1, {makeDetection({4.2, 0}, 0.6, "forklift")}, hidden);
+  ASSERT_EQ(memory.instances().size(), 1u);
+  EXPECT_GE(computeDiameter(memory.instances()[0].footprint), whole_m);
+  for (int k = 0; k <= 40; ++k) {
+    memory.update(1.2 + 0.1 * k, {makeDetection({4.2 + 0.15 * k, 0}, 0.6, "forklift")}, hidden);
+    EXPECT_LE(computeDiameter(memory.instances()[0].footprint),
+              2.0 * whole_m + params.mobile_slack_m);
+  }
+}
+
+TEST(InstanceMemory, of_two_people_one_behind_the_other_none_is_merged_away) {
+  const Detection a = makeDetection({3, 0}, 0.4, "person"),
+                  b = makeDetection({3, 0.6}, 0.4, "person");
+  const auto cross = [](const Detection& one, const Detection& two, const Detection& both) {
+    InstanceMemory memory{InstanceParams()};
+    for (int k = 0; k < 3; ++k) memory.update(1.0, {one, two}, hidden);
+    for (int k = 0; k < 3; ++k) memory.update(2.0, {both}, hidden);
+    return memory.instances().size();
+  };
+  EXPECT_EQ(cross(a, b, makeDetection({3, 0.3}, 0.5, "person")), 2u);
+  EXPECT_EQ(cross(makeDetection({3, 0}, 0.1), makeDetection({3, 0.3}, 0.1),
+                  makeDetection({3, 0.15}, 0.5)),
+            1u)
+      << "two cones are one then";
+}
+
+TEST(InstanceMemory, of_too_many_the_least_dangerous_are_dropped) {
+  InstanceParams params;
+  params.max_instances = 4;
+  InstanceMemory memory{params};
+  const InstanceMemory::Danger danger{{0.0, 0.0},
+                                      [](const std::string& name) { return name != "box"; }};
+  std::vector<Detection> confirmed;
+  for (const double x_m : {9.0, 3.0, 12.0, 6.0}) confirmed.push_back(makeDetection({x_m, 0}));
+  for (int k = 0; k < 3; ++k) memory.update(1.0, confirmed, hidden, danger);
+  ASSERT_EQ(memory.countDropped(), 0u);
+  std::vector<Detection> ghosts;  // nearer, but of classes nothing is said of, or seen once
+  for (int i = 0; i < 100; ++i) ghosts.push_back(makeDetection({1.0, 1.0 * i}, 0.3, "box"));
+  for (int i = 0; i < 100; ++i) ghosts.push_back(makeDetection({-1.0, 1.0 * i}));
+  memory.update(2.0, ghosts, hidden, danger);
+  ASSERT_EQ(memory.instances().size(), 4u);
+  const uint64_t n_dropped = memory.countDropped();
+  EXPECT_EQ(n_dropped, 196u + 4u);
+  EXPECT_NEAR(computeCentre(memory.instances()[0].footprint).x, 3.0, 1e-9) << "in their order";
+  EXPECT_NEAR(computeCentre(memory.instances()[1].footprint).x, 6.0, 1e-9);
+  for (size_t i = 2; i < 4; ++i) EXPECT_EQ(memory.instances()[i].class_name, "cone");
+  // Two more that are confirmed, nearer than the farthest.
+  params.max_instances = 6;
+  InstanceMemory larger{params};
+  for (int k = 0; k < 3; ++k) larger.update(1.0, confirmed, hidden, danger);
+  const std::vector<Detection> near = {makeDetection({4.0, 0}), makeDetection({5.0, 0}),
+                                       makeDetection({2.0, 0})};
+  for (int k = 0; k < 3; ++k) larger.update(2.0, near, hidden, danger);
+  std::set<double> left;
+  for (const HeldInstance& held : larger.instances())
+    left.insert(std::round(computeCentre(held.footprint).x));
+  EXPECT_EQ(left, (std::set<double>{2, 3, 4, 5, 6, 9}));
+}
+
+TEST(InstanceMemory, what_is_put_aside_makes_room_first) {
+  InstanceParams params;
+  params.max_instances = 3;
+  InstanceMemory memory{params};
+  memory.update(1.0, {makeDetection({1, 0}, 0.3, "mat"), makeDetection({2, 0}, 0.3, "mat")},
+                hidden);
+  memory.hideClasses([](const std::string& name) { return name == "mat"; });
+  memory.update(2.0, {makeDetection({8, 0}), makeDetection({9, 0})}, hidden);
+  EXPECT_EQ(memory.instances().size(), 2u);
+  EXPECT_EQ(memory.countDropped(), 1u);
+  memory.hideClasses([](const std::string&) { return false; });
+  ASSERT_EQ(memory.instances().size(), 3u);
+  EXPECT_NEAR(computeCentre(memory.instances()[2].footprint).x, 1.0, 1e-9) << "the nearer one";
+}
+
 TEST(InstanceMemory, tells_neighbours_of_one_class_apart_and_keeps_their_numbers) {
   InstanceMemory memory{InstanceParams()};
   const Detection a = makeDetection({3, 0}), b = makeDetection({3, 0.6}),
@@ -124,6 +267,23 @@ TEST(InstanceMemory, held_duplicate_is_merged_when_the_object_covers_it) {
   EXPECT_EQ(memory.instances()[0].frames_seen, 2u);
   memory.update(3.0, {makeDetection({3.15, 0}, 0.5)}, hidden);
   EXPECT_EQ(memory.instances()[0].id, 3u) << "and it keeps that number";
+}
+
+TEST(InstanceMemory, cleared_box_takes_what_reaches_into_it_put_aside_or_not) {
+  InstanceMemory memory{InstanceParams()};
+  memory.update(1.0,
+                {makeDetection({3, 0}), makeDetection({5, 0}), makeDetection({7, 0}, 0.3, "mat")},
+                hidden);
+  memory.hideClasses([](const std::string& name) { return name == "mat"; });
+  EXPECT_EQ(memory.clearBox({2, -1, 0.8}, {9, 1, 3.0}), 0) << "above them all";
+  EXPECT_EQ(memory.clearBox({2, -1, -2.0}, {9, 1, -0.1}), 0) << "below them all";
+  EXPECT_EQ(memory.clearBox({3.2, -1, 0.0}, {4.8, 1, 3.0}), 0) << "between them";
+  EXPECT_EQ(memory.clearBox({3.1, -1, 0.0}, {3.3, 1, 3.0}), 1) << "it reaches in by 5 cm";
+  ASSERT_EQ(memory.instances().size(), 1u);
+  EXPECT_EQ(memory.instances()[0].id, 2u);
+  EXPECT_EQ(memory.clearBox({6, -1, 0.0}, {8, 1, 3.0}), 1) << "the mat";
+  memory.hideClasses([](const std::string&) { return false; });
+  EXPECT_EQ(memory.instances().size(), 1u);
 }
 
 TEST(InstanceMemory, number_is_never_given_twice_not_even_after_clear) {
@@ -198,6 +358,44 @@ TEST(InstanceDetector, splits_objects_that_share_a_label_and_drops_specks) {
   EXPECT_EQ(found[0].n_points, 400u);
 }
 
+TEST(InstanceDetector, footprint_is_the_hull_of_the_means_of_all_bins) {
+  std::mt19937 random(4);
+  std::uniform_real_distribution<float> coordinate(-1.0f, 1.0f);
+  // Away from the borders of bins, where rounding decides.
+  const auto snap = [](float m) { return 0.01f * std::floor(100.0f * m) + 0.005f; };
+  for (int round = 0; round < 200; ++round) {
+    InstanceDetector detector(0.2, 1);
+    detector.start(Eigen::Vector3d::Zero(), 3.0);
+    struct Sum {
+      double x_m = 0.0, y_m = 0.0;
+      int n = 0;
+    };
+    std::map<std::pair<int, int>, Sum> bins;
+    const float slope = coordinate(random), width_m = 0.02f + 0.3f * std::abs(coordinate(random));
+    for (int i = 0; i < 3000; ++i) {
+      const float x_m = snap(coordinate(random));
+      const float y_m = snap(slope * x_m + width_m * coordinate(random));
+      detector.add(0, {x_m, y_m, 0.5f}, true);
+      Sum& sum = bins[{static_cast<int>(std::floor(x_m * 20.0f)),
+                       static_cast<int>(std::floor(y_m * 20.0f))}];
+      sum.x_m += x_m;
+      sum.y_m += y_m;
+      ++sum.n;
+    }
+    std::vector<Point2> means;
+    for (const auto& bin : bins)
+      means.push_back({bin.second.x_m / bin.second.n, bin.second.y_m / bin.second.n});
+    const Polygon due = computeConvexHull(std::move(means));
+    const std::vector<Detection> found = detector.finish({"rug"});
+    ASSERT_EQ(found.size(), 1u);
+    ASSERT_EQ(found[0].footprint.size(), due.size());
+    for (size_t i = 0; i < due.size(); ++i) {
+      ASSERT_NEAR(found[0].footprint[i].x, due[i].x, 1e-9);
+      ASSERT_NEAR(found[0].footprint[i].y, due[i].y, 1e-9);
+    }
+  }
+}
+
 TEST(InstanceDetector, floor_that_got_the_label_of_a_standing_thing_does_not_stretch_it) {
   InstanceDetector detector(0.2, 8);
   detector.start({1.0, 2.0, 0.0}, 12.0);
@@ -229,7 +427,7 @@ class PlaceProbeTest : public testing::Test {
     held.class_name = "traffic_cone";
     held.footprint = makeSquare(place, 0.3);
     held.z_max_m = z_max_m;
-    return PlaceProbe(frame, metres, projection, range).look(held);
+    return PlaceProbe(frame, metres, projection, range, LocalFloor(range, 1.5)).look(held);
   }
 
   bool hide_labels_ = false, evaluated_ = true;

@@ -55,7 +55,7 @@ TEST(Params, given_values_are_taken_and_integers_are_numbers) {
 TEST(Params, every_bad_value_is_refused_by_name) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   const double inf = std::numeric_limits<double>::infinity();
-  const ParamMap catalogue{
+  const std::vector<std::pair<std::string, ParamValue>> catalogue{
       {"resolution_m", ParamValue::ofDouble(0.0)},
       {"window_m", ParamValue::ofDouble(nan)},
       {"range_max_m", ParamValue::ofDouble(inf)},
@@ -83,11 +83,19 @@ TEST(Params, every_bad_value_is_refused_by_name) {
       {"grid_period_s", ParamValue::ofDouble(-1.0)},
       {"map_dir", ParamValue::ofBool(true)},
       {"map_file", ParamValue::ofDouble(1.0)},
+      {"keep_radius_m", ParamValue::ofDouble(-1.0)},
+      {"keep_radius_m", ParamValue::ofDouble(19.0)},
+      {"outside", ParamValue::ofString("forget")},
       {"min_frames", ParamValue::ofInt(0)},
       {"release_frames", ParamValue::ofBool(true)},
       {"surface_classes", ParamValue::ofString("floor")},
       {"class_radius_m", makeTable({{"person", ParamValue::ofDouble(-1.0)}})},
       {"between_max_gap_m", makeList({})},
+      {"mobile_half_life_s", ParamValue::ofDouble(-1.0)},
+      {"mobile_classes", ParamValue::ofString("person")},
+      {"mobile_release_s", ParamValue::ofDouble(inf)},
+      {"mobile_slack_m", ParamValue::ofDouble(-0.1)},
+      {"max_instances", ParamValue::ofInt(0)},
       {"no_such_key", ParamValue::ofInt(1)},
       {"Tau", ParamValue::ofDouble(0.5)},
   };
@@ -117,6 +125,11 @@ TEST(Params, values_that_contradict_each_other_are_refused) {
   EXPECT_EQ(findError(in_odom).find("map_file: got /maps/hall.ot"), 0u) << findError(in_odom);
   EXPECT_EQ(findError({{"map_file", file}, {"map_frame", ParamValue::ofString("map")}}), "");
   EXPECT_EQ(findError({{"map_file", ParamValue::ofString("")}}), "");
+  const ParamValue radius = ParamValue::ofDouble(30.0);
+  EXPECT_EQ(findError({{"keep_radius_m", radius}}), "");
+  EXPECT_EQ(findError({{"keep_radius_m", radius}, {"unknown_is_unsafe", no}})
+                .find("unknown_is_unsafe: got false"),
+            0u);
   // The scratch volume is counted in 32 bits.
   const ParamMap fine{{"resolution_m", ParamValue::ofDouble(0.02)},
                       {"range_max_m", ParamValue::ofDouble(4.0)},

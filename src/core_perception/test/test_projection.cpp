@@ -104,15 +104,14 @@ TEST(Projection, whole_reach_of_the_camera_fits_the_scratch_volume) {
       const int32_t exact = votes.locatePoint(projection.computePoint(u, v, 7.0), 7.0, FloorBand());
       ASSERT_GE(exact, 0);
       ASSERT_TRUE(voxels[u] == exact || voxels[u] == FrameVotes::kUndecided) << u << " " << v;
-      ++votes.touch(exact).n_safe;
+      ++votes.touch(exact).n_pixels[kSafeVote];
     }
   }
   EXPECT_GT(farthest_m, 9.4);
   uint32_t counted = 0;
-  for (const uint32_t touched : votes.touched()) {
-    counted += votes.tally(touched).n_safe;
-    const VoxelIndex voxel = votes.indexOf(touched);
-    EXPECT_EQ(votes.find(voxel), &votes.tally(touched));
+  for (const VoxelTally& tally : votes.tallies()) {
+    counted += tally.n_safe();
+    EXPECT_EQ(votes.find(votes.indexOf(tally.voxel)), &tally);
   }
   EXPECT_EQ(counted, 500u * 320u);
 }

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <gtest/gtest.h>
 
+#include <ctime>
+
 #include "core_perception/exceptions.h"
 #include "core_perception/semantic_map.h"
 #include "scene.h"
@@ -398,6 +400,157 @@ TEST(SemanticMap, slow_predicate_caps_the_speed_instead_of_closing_the_way) {
   EXPECT_TRUE(std::isnan(grid.speed_cap_mps[indexAt(grid, 2.3, 0.0)]));
 }
 
+TEST(SemanticMap, slow_region_within_a_barrier_and_around_it_caps_the_speed_whatever_comes_first) {
+  Scene scene;
+  scene.cylinders = {{"person", {4.0, 0.0}}, {"traffic_cone", {4.0, 0.6}}};
+  Predicate slow = makePredicate(SpatialOperator::kAround, "person", Verdict::kUnsafe, 1.5);
+  slow.severity = Severity::kSlow;
+  const Predicate stop =
+      makePredicate(SpatialOperator::kAround, "traffic_cone", Verdict::kUnsafe, 0.5);
+  for (const bool slow_first : {true, false}) {
+    SemanticMap map{SemanticMapParams()};
+    Constraints rules = makeConeRules();
+    rules.predicates.push_back(slow_first ? slow : stop);
+    rules.predicates.push_back(slow_first ? stop : slow);
+    for (int k = 1; k <= 3; ++k) map.update(scene.render(k * kPeriod_s, 0.0, 0.0, 0.0), rules);
+    const SafetyGrid& grid = map.grid();
+    ASSERT_EQ(grid.speed_cap_mps.size(), grid.state.size());
+    EXPECT_EQ(stateAt(grid, 3.5, 0.7), CellState::kUnsafe);
+    EXPECT_EQ(ruleAt(grid, 3.5, 0.7), "AROUND(traffic_cone)");
+    EXPECT_LT(grid.h_m[indexAt(grid, 3.5, 0.7)], 0.0f);
+    EXPECT_FLOAT_EQ(grid.speed_cap_mps[indexAt(grid, 3.5, 0.7)], 0.2f);
+    EXPECT_EQ(stateAt(grid, 3.1, -0.3), CellState::kSafe);
+    EXPECT_EQ(ruleAt(grid, 3.1, -0.3), "");
+    EXPECT_FLOAT_EQ(grid.speed_cap_mps[indexAt(grid, 3.1, -0.3)], 0.2f);
+    EXPECT_EQ(stateAt(grid, 3.9, 0.1), CellState::kUnsafe) << "the person stands there";
+    EXPECT_TRUE(std::isnan(grid.speed_cap_mps[indexAt(grid, 2.1, 0.1)]));
+  }
+}
+
+TEST(SemanticMap, cause_tells_whether_what_is_behind_it_moves) {
+  Scene scene = makeConeLine();
+  scene.cylinders.push_back({"person", {3.0, 0.0}});
+  scene.cylinders.push_back({"statue", {3.0, 1.2}});
+  Constraints rules = makeConeRules();
+  for (const char* name : {"person", "statue"})
+    rules.predicates.push_back(
+        makePredicate(SpatialOperator::kAround, name, Verdict::kUnsafe, 0.5));
+  SemanticMap map{SemanticMapParams()};
+  map.update(scene.render(0.1, 0.0, 0.0, 0.0), rules);  // votes alone
+  std::map<std::string, bool> mobile;
+  const auto note = [&] {
+    const SafetyGrid& grid = map.grid();
+    for (const uint16_t cause : grid.cause) {
+      if (cause == kNoCause) continue;
+      const Cause& c = grid.causes[cause];
+      mobile[c.rule + " " + c.class_name] = c.mobile;
+    }
+  };
+  note();
+  Frame unlabelled = scene.render(0.2, 0.0, 0.0, 0.0);
+  unlabelled.labels.setTo(0, unlabelled.labels == 8);  // the statue
+  map.update(unlabelled, rules);
+  note();
+  map.update(scene.render(0.3, 0.0, 0.0, 0.0), rules);
+  note();
+  const std::map<std::string, bool> expected{{"METRIC person", true},
+                                             {"METRIC statue", false},
+                                             {"METRIC ", false},
+                                             {"METRIC traffic_cone", false},
+                                             {"AROUND(person) person", true},
+                                             {"AROUND(statue) statue", false},
+                                             {"UNKNOWN ", false},
+                                             {"BETWEEN(traffic_cone) traffic_cone", false}};
+  for (const auto& entry : expected) {
+    ASSERT_EQ(mobile.count(entry.first), 1u) << entry.first;
+    EXPECT_EQ(mobile[entry.first], entry.second) << entry.first;
+  }
+}
+
+TEST(SemanticMap, person_out_of_view_fades_to_unknown_and_a_cone_stays) {
+  Scene scene;
+  scene.cylinders = {{"person", {3.0, 0.0}, 0.2, 0.0, 1.7}, {"traffic_cone", {3.0, 1.0}}};
+  Constraints rules = makeConeRules();
+  SemanticMap map{SemanticMapParams()};
+  double stamp_s = 1.0;
+  for (int k = 0; k < 20; ++k) map.update(Scene().render(stamp_s += 0.1, 0.0, 0.0, 0.0), rules);
+  for (int k = 0; k < 20; ++k) map.update(scene.render(stamp_s += 0.1, 0.0, 0.0, 0.0), rules);
+  ASSERT_EQ(stateAt(map.grid(), 2.9, 0.1), CellState::kUnsafe);
+  ASSERT_EQ(stateAt(map.grid(), 2.9, 0.9), CellState::kUnsafe);
+  for (int k = 0; k < 100; ++k) map.update(Scene().render(stamp_s += 0.1, 0.0, 0.0, 3.14), rules);
+  EXPECT_EQ(stateAt(map.grid(), 2.9, 0.1), CellState::kUnknown) << "not safe by floor seen before";
+  EXPECT_EQ(stateAt(map.grid(), 2.9, 0.9), CellState::kUnsafe);
+  EXPECT_EQ(map.instances().size(), 2u) << "held longer than its votes";
+  map.update(Scene().render(stamp_s += 20.0, 0.0, 0.0, 3.14), rules);
+  ASSERT_EQ(map.instances().size(), 1u);
+  EXPECT_EQ(map.instances()[0].class_name, "traffic_cone");
+}
+
+TEST(SemanticMap, table_top_above_the_image_stays_although_the_floor_below_it_is_seen) {
+  Scene scene;
+  scene.cylinders = {{"table", {1.6, 0.1}, 0.15, 0.85, 0.89}};
+  SemanticMap map{SemanticMapParams()};
+  double stamp_s = 1.0;
+  for (int k = 0; k < 10; ++k)
+    map.update(scene.render(stamp_s += 0.1, -2.0, 0.0, 0.0), makeConeRules());
+  ASSERT_EQ(ruleAt(map.grid(), 1.5, 0.1), kMetricRule);
+  const Frame near = scene.render(stamp_s + 0.1, 0.0, 0.0, 0.0);
+  ASSERT_EQ(cv::countNonZero(near.labels == 2), 0) << "the camera looks below it";
+  for (int k = 0; k < 100; ++k)
+    map.update(scene.render(stamp_s += 0.1, 0.0, 0.0, 0.0), makeConeRules());
+  EXPECT_EQ(stateAt(map.grid(), 1.5, 0.1), CellState::kUnsafe);
+}
+
+TEST(SemanticMap, where_unknown_is_safe_nobody_fades) {
+  Scene scene;
+  scene.cylinders = {{"person", {3.0, 0.0}, 0.2, 0.0, 1.7}};
+  SemanticMapParams params;
+  params.semantics = params.unknown_is_unsafe = false;
+  SemanticMap map{params};
+  map.update(scene.render(1.0, 0.0, 0.0, 0.0), Constraints());
+  map.update(Scene().render(1e6, 0.0, 0.0, 3.14), Constraints());
+  EXPECT_EQ(stateAt(map.grid(), 2.9, 0.1), CellState::kUnsafe);
+}
+
+TEST(SemanticMap, of_too_many_objects_those_that_something_unsafe_is_said_of_are_kept) {
+  SemanticMapParams params;
+  params.instance.max_instances = 5;
+  SemanticMap map{params};
+  Scene scene = makeConeLine();
+  for (int i = -2; i <= 2; ++i)
+    scene.cylinders.push_back({"statue", {3.0, 0.45 * i}, 0.1, 0.0, 0.2});
+  for (int k = 1; k <= 3; ++k)
+    map.update(scene.render(k * kPeriod_s, 0.0, 0.0, 0.0), makeConeRules());
+  ASSERT_EQ(map.instances().size(), 5u);
+  for (const HeldInstance& held : map.instances()) EXPECT_EQ(held.class_name, "traffic_cone");
+  EXPECT_EQ(map.countDroppedInstances(), 15u);
+}
+
+TEST(SemanticMap, ten_thousand_false_detections_neither_fill_the_memory_nor_take_seconds) {
+  SemanticMapParams params;
+  SemanticMap map{params};
+  Constraints rules = makeConeRules();
+  rules.predicates.push_back(makePredicate(SpatialOperator::kAround, "ghost", Verdict::kUnsafe));
+  Frame frame = Scene().render(1.0, 0.0, 0.0, 0.0);
+  frame.classes.clear();
+  for (int id = 1; id <= 10000; ++id) frame.classes.push_back({static_cast<uint16_t>(id), "ghost"});
+  double slowest_s = 0.0;
+  for (int k = 0; k < 6; ++k) {
+    for (int v = 0; v < frame.labels.rows; ++v) {
+      for (int u = 0; u < frame.labels.cols; ++u)  // patches of 4 x 4 pixels, elsewhere every time
+        frame.labels.at<uint16_t>(v, u) =
+            static_cast<uint16_t>(1 + ((u + 2 * k) / 4 + 125 * ((v + k) / 4)) % 10000);
+    }
+    frame.stamp_s += 0.1;
+    const std::clock_t start = std::clock();
+    map.update(frame, rules);
+    slowest_s = std::max(slowest_s, 1.0 * (std::clock() - start) / CLOCKS_PER_SEC);
+    EXPECT_LE(map.instances().size(), static_cast<size_t>(params.instance.max_instances));
+  }
+  EXPECT_GT(map.countDroppedInstances(), 10000u);
+  EXPECT_LT(slowest_s, 1.0);
+}
+
 TEST(SemanticMap, refused_frame_changes_nothing) {
   SemanticMap map{SemanticMapParams()};
   const Scene scene = makeConeLine();
@@ -492,6 +645,28 @@ TEST(SemanticMap, cleared_box_is_unknown_and_begins_a_new_history_without_a_new_
   EXPECT_EQ(map.history_start_s(), 5.0);
   EXPECT_EQ(stateAt(grid, 5.1, 0.1), CellState::kUnknown);
   EXPECT_NE(stateAt(grid, 3.9, 0.1), CellState::kUnknown) << "outside the box all is kept";
+}
+
+TEST(SemanticMap, initial_disc_holds_only_where_nothing_was_ever_seen) {
+  SemanticMapParams params;
+  params.initial_disc_radius_m = 4.0;
+  SemanticMap map{params};
+  Frame blind = Scene().render(9.0, 0.0, 0.0, 0.0);
+  blind.depth.setTo(0.0f);
+  Scene scene;
+  scene.cylinders = {{"statue", {3.0, 0.0}}};
+  for (int i = 1; i <= 4; ++i) map.update(scene.render(i, 0.0, 0.0, 0.0), makeConeRules());
+  ASSERT_EQ(stateAt(map.grid(), 2.9, 0.1), CellState::kUnsafe);
+  ASSERT_EQ(stateAt(map.grid(), 2.5, 0.5), CellState::kSafe);
+  ASSERT_TRUE(map.clearBox({2.0, -1.0, -1.0}, {3.6, 1.0, 3.0}));
+  const SafetyGrid& grid = map.update(blind, makeConeRules());
+  EXPECT_EQ(stateAt(grid, 2.9, 0.1), CellState::kUnknown) << "the statue may stand there still";
+  EXPECT_EQ(stateAt(grid, 2.5, 0.5), CellState::kUnknown);
+  EXPECT_EQ(stateAt(grid, 3.7, 0.5), CellState::kSafe) << "outside the box";
+  EXPECT_EQ(stateAt(grid, -2.0, 0.1), CellState::kSafe) << "never seen";
+  map.clear();
+  map.update(blind, makeConeRules());
+  EXPECT_EQ(stateAt(map.grid(), 2.9, 0.1), CellState::kSafe) << "as at first";
 }
 
 TEST(SemanticMap, box_without_end_clears_everything) {

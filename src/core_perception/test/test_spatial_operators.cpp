@@ -53,7 +53,9 @@ cv::Mat toMask(const PixelSet& set) {
 cv::Mat computeRegions(const cv::Mat& labels, const std::vector<LabelClass>& classes,
                        const std::vector<Predicate>& predicates) {
   ImageRegions regions(50);
-  regions.compute(labels, classes, predicates);
+  LabelRuns runs;
+  runs.build(labels);
+  regions.compute(runs, classes, predicates);
   return regions.image().clone();
 }
 

@@ -23,9 +23,10 @@ from fakes.ollama_protocol import SAID_BY_COLOUR
 from core_perception import http_exchange
 from core_perception.endpoint import Endpoint
 from core_perception.exceptions import EndpointError, EvidenceError, ReplyError, ServerError
+from core_perception.picture_file import write_picture
 from core_perception.predicates import parse_predicate
 from core_perception.reasoners.loading_client import LoadingClient
-from core_perception.reasoners.vlm_client import SERVER_CAUSES, BackOff, VlmClient, encode_image
+from core_perception.reasoners.vlm_client import SERVER_CAUSES, BackOff, VlmClient
 from core_perception.reasoners.wire import OllamaWire, OpenAiWire
 from core_perception.reply_parser import parse_reply
 
@@ -159,15 +160,15 @@ def test_token_probabilities_are_read_where_asked_for(server, wire):
 def test_a_picture_keeps_its_colours_and_its_shape_and_is_scaled_to_the_longest_edge():
     image = picture(200, 40, 10, shape=(300, 1200))
     image[:, 600:] = (10, 40, 200)
-    decoded = cv2.imdecode(np.frombuffer(encode_image(image, 600), np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1]
+    decoded = cv2.imdecode(np.frombuffer(write_picture(image, 600)[0], np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1]
     assert decoded.shape == (150, 600, 3)
     assert np.abs(decoded[:, :280].astype(int) - (200, 40, 10)).max() < 12
     assert np.abs(decoded[:, 320:].astype(int) - (10, 40, 200)).max() < 12
 
 
 def test_a_small_picture_is_not_scaled_and_a_thin_one_keeps_a_pixel():
-    small = cv2.imdecode(np.frombuffer(encode_image(picture(shape=(7, 9)), 600), np.uint8), cv2.IMREAD_COLOR)
-    thin = cv2.imdecode(np.frombuffer(encode_image(picture(shape=(1, 3000)), 600), np.uint8), cv2.IMREAD_COLOR)
+    small = cv2.imdecode(np.frombuffer(write_picture(picture(shape=(7, 9)), 600)[0], np.uint8), cv2.IMREAD_COLOR)
+    thin = cv2.imdecode(np.frombuffer(write_picture(picture(shape=(1, 3000)), 600)[0], np.uint8), cv2.IMREAD_COLOR)
     assert (small.shape, thin.shape) == ((7, 9, 3), (1, 600, 3))
 
 

@@ -16,14 +16,23 @@ struct VoxelIndex {
   int x, y, z;
 };
 
+/// What a pixel says of the voxel of its point.
+enum VoteKind {
+  kSafeVote,
+  kUnsafeVote,
+  kMetricVote,  ///< an obstacle, whatever the predicates say: it lies in the metric band
+};
+constexpr int kVoteKinds = 3;
+
 /// What one frame saw of one voxel.
 struct VoxelTally {
-  uint32_t n_safe = 0;    ///< pixels
-  uint32_t n_unsafe = 0;  ///< pixels, those of the metric band not among them
-  uint16_t n_metric = 0;  ///< pixels in the metric band; stops at 65535
-  uint16_t cause = kNoCause;
-  uint16_t metric_cause = kNoCause;
-  bool empty() const { return n_safe == 0 && n_unsafe == 0 && n_metric == 0; }
+  int32_t voxel = 0;                                            ///< as FrameVotes::locate says it
+  uint32_t n_pixels[kVoteKinds] = {};                           ///< by VoteKind
+  uint16_t cause[kVoteKinds] = {kNoCause, kNoCause, kNoCause};  ///< of the newest of each kind
+
+  uint32_t n_safe() const { return n_pixels[kSafeVote]; }
+  uint32_t n_unsafe() const { return n_pixels[kUnsafeVote]; }
+  uint32_t n_metric() const { return n_pixels[kMetricVote]; }
 };
 
 /// Points at the height of the floor. Noise must not spread them over two layers of voxels.
@@ -36,9 +45,9 @@ struct FloorBand {
   int layer = 0;  ///< see FrameVotes::layerOf
 };
 
-/// Dense scratch volume around the camera in which the pixels of one frame are counted, with a list
-/// of touched voxels. It spans the whole reach of the camera: a point outside can only lie above or
-/// below the 3-D map.
+/// Scratch volume around the camera in which the pixels of one frame are counted: for every voxel
+/// the number of its tally, and the tallies of those that were touched, close together in memory.
+/// It spans the whole reach of the camera: a point outside can only lie above or below the 3-D map.
 class FrameVotes {
  public:
   /// @param min_z_m, max_z_m span of the 3-D map in the fixed frame.
@@ -55,30 +64,55 @@ class FrameVotes {
   int32_t locatePoint(const Eigen::Vector3d& d_m, double depth_m, const FloorBand& floor) const;
   static constexpr int32_t kNoVoxel = -1;    ///< no point, or one outside the volume
   static constexpr int32_t kUndecided = -2;  ///< to be given to locatePoint
-  /// Tally of a voxel that locate() found; marks it touched.
+  /// Tally of a voxel that locate() found. The next call may move it.
   VoxelTally& touch(int32_t voxel) {
-    VoxelTally& tally = tallies_[voxel];
-    if (tally.empty()) touched_.push_back(static_cast<uint32_t>(voxel));
-    return tally;
+    uint32_t& number = numbers_[voxel];
+    if (number == 0) {
+      tallies_.emplace_back();
+      tallies_.back().voxel = voxel;
+      number = static_cast<uint32_t>(tallies_.size());
+    }
+    return tallies_[number - 1];
+  }
+  /// Counts pixels in a voxel that locate() found; kNoVoxel: nowhere.
+  void add(int32_t voxel, VoteKind kind, uint32_t n_pixels, uint16_t cause) {
+    if (voxel == kNoVoxel) return;
+    VoxelTally& tally = touch(voxel);
+    tally.n_pixels[kind] += n_pixels;
+    tally.cause[kind] = cause;
   }
   int layers() const { return layers_; }
   /// Layer of a height in the fixed frame.
   int layerOf(double z_m) const;
 
-  const std::vector<uint32_t>& touched() const { return touched_; }
-  const VoxelTally& tally(uint32_t touched) const { return tallies_[touched]; }
-  VoxelIndex indexOf(uint32_t touched) const;
+  /// Of every voxel that was touched, in the order of their first points.
+  const std::vector<VoxelTally>& tallies() const { return tallies_; }
+  VoxelIndex indexOf(int32_t voxel) const {
+    const int mask = (1 << width_bits_) - 1;
+    return {origin_.x + (voxel & mask), origin_.y + (voxel >> width_bits_ & mask),
+            origin_.z + (voxel >> 2 * width_bits_)};
+  }
   /// Tally of a voxel, or nullptr when no point of this frame fell into it.
   const VoxelTally* find(const VoxelIndex& voxel) const;
 
  private:
+  bool isInside(int x, int y, int z) const {
+    const int width = 1 << width_bits_;
+    return x >= 0 && y >= 0 && z >= 0 && x < width && y < width && z < layers_;
+  }
+  /// x, y, z from the volume's corner.
+  int32_t indexOfCell(int x, int y, int z) const {
+    return (((z << width_bits_) + y) << width_bits_) + x;
+  }
+
   double resolution_m_;
   float cells_per_m_;
   VoxelIndex origin_{0, 0, 0};
-  int width_ = 0, layers_ = 0;
+  int width_bits_ = 0;  ///< the volume is 2^width_bits_ voxels wide and deep
+  int layers_ = 0;
   Eigen::Vector3d offset_ = Eigen::Vector3d::Zero();  ///< camera in cells, from the volume's corner
+  std::vector<uint32_t> numbers_;  ///< of a voxel: 1 + index of its tally, 0 for none
   std::vector<VoxelTally> tallies_;
-  std::vector<uint32_t> touched_;
 };
 
 }  // namespace core_perception

@@ -4,15 +4,11 @@
 #include <opencv2/core.hpp>
 
 #include "core_perception/frame_votes.h"
+#include "core_perception/local_floor.h"
 #include "core_perception/projection.h"
 #include "core_perception/vote_map.h"
 
 namespace core_perception {
-
-/// Square range of columns, both ends included.
-struct ColumnRange {
-  int min_x, min_y, max_x, max_y;
-};
 
 /// Takes an unsafe vote from every voxel of the band that the frame saw through: what stood there
 /// has gone.
@@ -22,13 +18,19 @@ struct ColumnRange {
 /// alone. A pixel without depth says nothing by itself (the sky, a black or a shiny thing); it
 /// counts as beyond where this frame saw floor and no obstacle in the voxel's column. A projective
 /// test, without ray casting: its cost grows with the number of unsafe voxels, not of pixels.
+/// What a moving thing left may also be cut by the border of the image, or lie beyond it, where
+/// this frame saw floor and no obstacle in the column: near the camera the upper voxels of a person
+/// are above the image as long as the robot stands still. A table at rest is not cleared so.
+/// @param floor heights that the map's are above.
 /// @returns number of voxels that lost a vote.
 int clearSeenThrough(const cv::Mat& metres, const Projection& projection, const FrameVotes& votes,
-                     const ColumnRange& range, VoteMap* map);
+                     const LocalFloor& floor, VoteMap* map);
 
 /// Whether the voxel around this centre is seen through in the sense above.
 /// @param no_depth_is_beyond whether pixels without depth (0) count as beyond.
+/// @param outside_is_beyond whether those outside the image do.
 bool isSeenThrough(const cv::Mat& metres, const Projection& projection,
-                   const Eigen::Vector3d& centre, double resolution_m, bool no_depth_is_beyond);
+                   const Eigen::Vector3d& centre, double resolution_m, bool no_depth_is_beyond,
+                   bool outside_is_beyond = false);
 
 }  // namespace core_perception

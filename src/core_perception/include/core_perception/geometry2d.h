@@ -47,10 +47,17 @@ bool contains(const Polygon& polygon, const Point2& point);
 /// Distance from a point to a polygon [m]; 0 inside.
 double computeDistance(const Point2& point, const Polygon& polygon);
 
+/// Distance from a point to a box [m]; 0 inside.
+double computeDistance(const Point2& point, const Box2& box);
+
 /// Distance between two convex polygons [m]; 0 when they touch or overlap.
 double computeDistance(const Polygon& a, const Polygon& b);
 
-/// Whether that distance is at most max_m; cheap for polygons that are far apart.
+/// Whether the gap between two boxes is at most max_m along both axes: where it is not, what they
+/// hold is farther apart than that.
+bool areWithin(const Box2& a, const Box2& b, double max_m);
+
+/// Whether the distance of two polygons is at most max_m; cheap for polygons that are far apart.
 bool areWithin(const Polygon& a, const Polygon& b, double max_m);
 
 /// Corners of the square of side edge_m around a centre, counter-clockwise.

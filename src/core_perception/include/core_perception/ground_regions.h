@@ -42,6 +42,9 @@ std::vector<Region> buildRegions(const std::vector<HeldInstance>& instances,
                                  const std::vector<Predicate>& predicates,
                                  const InstanceParams& params, double resolution_m);
 
+/// Largest distance from an object at which one of these predicates makes a region [m].
+double findLargestRadius(const std::vector<Predicate>& predicates, const InstanceParams& params);
+
 /// Whether the predicate's exempt_instances spare an object of its class: NEAR and AROUND spare
 /// those listed, BETWEEN those of a cluster whose members are all listed, ON none.
 bool isSpared(const HeldInstance& held, const Predicate& predicate,

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <algorithm>
 #include <cstdint>
 #include <limits>
 #include <string>
@@ -23,9 +24,9 @@ inline bool operator==(const CellIndex& a, const CellIndex& b) { return a.x == b
 /// One object as one frame saw it.
 struct Detection {
   std::string class_name;
-  Polygon footprint;             ///< convex hull of its ground points [m], fixed frame
-  std::vector<CellIndex> cells;  ///< map cells it touches, sorted
-  double z_min_m = 0.0, z_max_m = 0.0;
+  Polygon footprint;                    ///< convex hull of its ground points [m], fixed frame
+  std::vector<CellIndex> cells;         ///< map cells it touches, sorted
+  double z_min_m = 0.0, z_max_m = 0.0;  ///< as if the local floor were at floor_z_m
   uint32_t n_points = 0;
 };
 
@@ -45,7 +46,20 @@ class InstanceDetector {
   /// @param slot index of the label's class in the frame.
   /// @param d_m point relative to the camera along the axes of the fixed frame, within reach.
   /// @param standing whether it lies above the floor by more than the metric band's lower end.
-  void add(int16_t slot, const Eigen::Vector3f& d_m, bool standing);
+  void add(int16_t slot, const Eigen::Vector3f& d_m, bool standing) {
+    constexpr auto kBinsPerMetre = static_cast<float>(1.0 / kBin_m);
+    // Within reach neither is negative, so that the conversion is floor().
+    const int x = static_cast<int>(offset_x_ + d_m.x() * kBinsPerMetre);
+    const int y = static_cast<int>(offset_y_ + d_m.y() * kBinsPerMetre);
+    if (x < 0 || y < 0 || x >= width_ || y >= width_) return;  // a pose that stretches a little
+    Bin& bin = touchBin(slot, x, y);
+    bin.z_min_m = std::min(bin.z_min_m, d_m.z());
+    bin.z_max_m = std::max(bin.z_max_m, d_m.z());
+    bin.sum_x_m += d_m.x();
+    bin.sum_y_m += d_m.y();
+    ++bin.n_points;
+    bin.n_standing += standing ? 1 : 0;
+  }
   /// @param class_names class per slot.
   std::vector<Detection> finish(const std::vector<std::string>& class_names) const;
 
@@ -64,7 +78,15 @@ class InstanceDetector {
 
   size_t cellOf(int x, int y) const { return static_cast<size_t>(y) * width_ + x; }
   const Bin* find(int16_t slot, int x, int y) const;
-  Bin& touchBin(int16_t slot, int x, int y);
+  Bin& touchBin(int16_t slot, int x, int y) {
+    const int32_t head = heads_[cellOf(x, y)];
+    for (int32_t i = head; i >= 0; i = bins_[i].next) {
+      if (bins_[i].slot == slot) return bins_[i];
+    }
+    return addBin(slot, x, y);
+  }
+  Bin& addBin(int16_t slot, int x, int y);
+  static std::vector<Point2> findRim(const std::vector<Point2>& means, const Bins& bins);
   Bins keepStanding(const Bins& bins) const;
   void splitSlot(const Bins& bins, const std::string& class_name,
                  std::vector<Detection>* detections) const;

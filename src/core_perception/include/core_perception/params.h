@@ -19,7 +19,8 @@ struct RangeParams {
   double band_min_z_m = -0.15;        ///< lower end of what counts for a column of the 2-D map
   double band_max_z_m = 0.9;          ///< upper end: height of the robot
   double metric_min_height_m = 0.10;  ///< lower end of the metric obstacle band
-  double metric_slope = 0.01;         ///< growth of that end with z-depth, for attitude error [m/m]
+  bool local_floor = true;     ///< heights are above the floor as it is found, see LocalFloor
+  double metric_slope = 0.01;  ///< growth of that end with z-depth, for attitude error [m/m]
   double depth_edge_ratio =
       0.05;  ///< a pixel this much (relative) behind a neighbour is discarded; 0: off
 };
@@ -34,6 +35,9 @@ struct VoteParams {
   bool metric_layer = true;   ///< points in the metric band are unsafe whatever the predicates say
   int metric_min_points = 3;  ///< points a voxel needs in one frame for that
   bool free_space_clearing = true;  ///< a voxel seen through loses one unsafe vote
+  /// Unsafe votes that a moving thing left lose half their weight in this time; 0: never forgotten.
+  /// Heeded only where unknown ground is unsafe.
+  double mobile_half_life_s = 2.0;
 };
 
 /// The instance memory and the regions it makes.
@@ -42,17 +46,57 @@ struct InstanceParams {
   std::vector<std::string> surface_classes = {"floor",         "carpet",    "hallway", "sidewalk",
                                               "sidewalk_ramp", "crosswalk", "path",    "road",
                                               "parking_lot",   "driveway",  "patio"};
-  int min_points = 8;      ///< pixels an instance needs in one frame
-  int min_frames = 2;      ///< frames that must have seen it before it makes regions
-  int release_frames = 5;  ///< frames that must see its place empty before it is forgotten
+  /// What moves by itself: as the ontology has it. All other classes are at rest.
+  std::vector<std::string> mobile_classes = {"forklift",
+                                             "automated_guided_vehicle",
+                                             "crane",
+                                             "excavator",
+                                             "scissor_lift",
+                                             "robot_arm",
+                                             "lawn_mower",
+                                             "car",
+                                             "truck",
+                                             "bus",
+                                             "train",
+                                             "motorcycle",
+                                             "person",
+                                             "child",
+                                             "patient",
+                                             "doctor",
+                                             "wheelchair",
+                                             "walking_frame",
+                                             "stroller",
+                                             "crowd",
+                                             "cyclist",
+                                             "jogger",
+                                             "police_officer",
+                                             "construction_worker",
+                                             "dog",
+                                             "cat",
+                                             "animal"};
+  /// One of them that no frame saw for so long is forgotten wherever it was; 0: never.
+  double mobile_release_s = 20.0;
+  int max_instances = 500;  ///< more are not held
+  int min_points = 8;       ///< pixels an instance needs in one frame
+  int min_frames = 2;       ///< frames that must have seen it before it makes regions
+  int release_frames = 5;   ///< frames that must see its place empty before it is forgotten
   double match_distance_m =
       0.4;  ///< largest gap between a held footprint and a new one of the same instance
   double footprint_slack_m = 0.5;  ///< largest growth of a footprint beyond its largest single view
+  double mobile_slack_m = 0.2;     ///< the same of what moves: its footprint follows
   double max_footprint_m = 2.0;    ///< larger footprints count as extended: cells instead of a hull
   double between_max_gap_m = 2.5;  ///< single-link distance of a cluster
   double between_min_thickness_m = 0.3;
   double default_radius_m = 1.0;  ///< of AROUND
   std::map<std::string, double> class_radius_m;
+};
+
+/// What the map keeps in memory while the robot walks on.
+struct WindowParams {
+  double keep_radius_m = 0.0;  ///< ground nearer than this stays in memory; 0: all of it
+  std::string outside =
+      "drop";            ///< what lies farther is forgotten ("drop") or kept in files ("disk")
+  std::string tile_dir;  ///< existing folder for those files; not a parameter of its own
 };
 
 /// Everything the semantic map needs; validated by fromMap. Defaults are those of profile `core`.
@@ -72,6 +116,7 @@ struct SemanticMapParams {
   RangeParams range;
   VoteParams vote;
   InstanceParams instance;
+  WindowParams window;
 
   bool usesImageOperators() const { return operators == "image"; }
 

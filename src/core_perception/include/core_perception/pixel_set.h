@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <cstdint>
 #include <opencv2/core.hpp>
 #include <vector>
 
@@ -38,6 +39,26 @@ class PixelSet {
  private:
   int width_ = 0, height_ = 0;
   std::vector<Run> runs_;
+  std::vector<uint32_t> ends_;  ///< of every row: index of the first run of the next one
+};
+
+/// An image of labels as runs of equal ones, row by row and in ascending order.
+class LabelRuns {
+ public:
+  struct LabelRun : Run {
+    uint16_t label;
+  };
+
+  /// @param labels CV_16UC1.
+  void build(const cv::Mat& labels);
+  int width() const { return width_; }
+  int height() const { return static_cast<int>(ends_.size()); }
+  const LabelRun* begin(int row) const { return runs_.data() + (row == 0 ? 0 : ends_[row - 1]); }
+  const LabelRun* end(int row) const { return runs_.data() + ends_[row]; }
+
+ private:
+  int width_ = 0;
+  std::vector<LabelRun> runs_;
   std::vector<uint32_t> ends_;  ///< of every row: index of the first run of the next one
 };
 

@@ -5,6 +5,7 @@
 #include <string>
 
 #include "core_perception/instance_memory.h"
+#include "core_perception/local_floor.h"
 #include "core_perception/projection.h"
 
 namespace core_perception {
@@ -22,19 +23,22 @@ class PlaceProbe {
  public:
   /// The arguments must outlive the probe.
   PlaceProbe(const Frame& frame, const cv::Mat& metres, const Projection& projection,
-             const RangeParams& range)
-      : frame_(frame), metres_(metres), projection_(projection), range_(range) {}
+             const RangeParams& range, const LocalFloor& floor)
+      : frame_(frame), metres_(metres), projection_(projection), range_(range), floor_(floor) {}
 
   PlaceView look(const HeldInstance& held) const;
 
  private:
   struct Evidence {
-    int n_expected = 0;  ///< pixels whose ray meets the floor inside the footprint
-    int n_floor = 0;     ///< pixels that show floor inside the footprint
-    int n_standing = 0;  ///< pixels that show something else inside the footprint
-    int n_other = 0;     ///< those of them that carry the label of another class
+    int n_expected = 0;    ///< pixels whose ray meets the floor inside the footprint
+    int n_floor = 0;       ///< pixels that show floor inside the footprint
+    int n_standing = 0;    ///< pixels that show something else inside the footprint
+    int n_other = 0;       ///< those of them that carry the label of another class
+    float floor_m = 0.0f;  ///< height of the local floor in its middle
   };
 
+  /// Pixel of a place at a height above the local floor, as Projection::project.
+  Eigen::Vector3d projectAbove(const Point2& place, double height_m) const;
   bool isInView(const Polygon& place) const;
   cv::Rect findPixels(const Polygon& place, double top_z_m) const;
   enum class Owner { kNone, kSame, kOther };
@@ -47,6 +51,7 @@ class PlaceProbe {
   const cv::Mat& metres_;
   const Projection& projection_;
   const RangeParams& range_;
+  const LocalFloor& floor_;
 };
 
 }  // namespace core_perception

@@ -2,11 +2,11 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <cstddef>
 #include <vector>
 
 #include "core_perception/frame.h"
 #include "core_perception/params.h"
+#include "core_perception/pixel_set.h"
 
 namespace core_perception {
 
@@ -15,7 +15,7 @@ namespace core_perception {
 struct PointRow {
   std::vector<float> depth_m;  ///< 0 where the pixel gives no point
   std::vector<float> dx_m, dy_m, dz_m;
-  int first = 0, end = 0;  ///< pixels outside [first, end) give no point; their entries are stale
+  int first = 0, end = 0;  ///< of all others no entry is valid; empty where no pixel gives a point
 };
 
 /// Back-projection of one frame. All rays of a row share their constant part.
@@ -42,21 +42,17 @@ class Projection {
   /// Lowest height of the metric obstacle band for a point at this depth [m].
   float metricHeight(float depth_m) const { return metric_min_height_m_ + metric_slope_ * depth_m; }
 
-  /// Points of the pixels of a row that are within range and not on the far side of a depth edge.
+  /// Points of the pixels [first, end) of a row that are within range and not on the far side of a
+  /// depth edge: a pixel up to edge_px to the left, right, above or below lies nearer by more than
+  /// the edge ratio. Such a point is mixed, or the label of the nearer object may have bled onto
+  /// it. The near side is kept, so that a thin pole is not lost.
   /// @param metres depth as convertToMetres leaves it.
-  void projectRow(const cv::Mat& metres, int v, PointRow* row) const;
-  /// Whether the pixel this far to the left, right, above or below lies nearer by more than the
-  /// edge ratio: then this one is mixed, or the label of the nearer object may have bled onto it.
-  /// The near side is kept, so that a thin pole is not lost.
-  /// @param pixel in an image as convertToMetres leaves it; stride: pixels from row to row.
-  /// @param distance_px 1 ... kDepthMargin_px.
-  bool isBehindEdge(const float* pixel, std::ptrdiff_t stride, int distance_px) const {
-    const auto isNearer = [limit = *pixel * edge_factor_](float other) {
-      return (other > 0.0f) & (other < limit);  // no branch: see PointRow
-    };
-    const std::ptrdiff_t rows = stride * distance_px;
-    return isNearer(pixel[-distance_px]) | isNearer(pixel[distance_px]) | isNearer(pixel[-rows]) |
-           isNearer(pixel[rows]);
+  /// @param edge_px 1 ... kDepthMargin_px.
+  void projectRow(const cv::Mat& metres, int v, const Run& pixels, int edge_px,
+                  PointRow* row) const;
+  /// The same for a whole row.
+  void projectRow(const cv::Mat& metres, int v, PointRow* row) const {
+    projectRow(metres, v, {0, metres.cols}, 1, row);
   }
 
  private:

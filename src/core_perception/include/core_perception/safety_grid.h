@@ -27,7 +27,7 @@ struct SafetyGrid {
   std::vector<float> speed_cap_mps;  ///< empty when no cell has one, NaN where none holds
 };
 
-/// Where nothing was seen, the disc around the robot's first position is taken as safe.
+/// Where nothing was ever seen, the disc around the robot's first position is taken as safe.
 struct InitialDisc {
   Point2 centre;
   double radius_m = 0.0;
@@ -37,7 +37,7 @@ struct InitialDisc {
 ///
 ///     region of severity STOP over the cell      unsafe, with the region's cause
 ///     votes                                      safe when n_safe / (n_safe + n_unsafe) >= tau
-///     no votes, centre within the initial disc   safe, shown as one safe vote
+///     never a vote, centre in the initial disc   safe, shown as one safe vote
 ///     no votes elsewhere                         unknown
 class GridComposer {
  public:
@@ -50,6 +50,8 @@ class GridComposer {
  private:
   void moveWindow(const Point2& robot);
   void fillFromVotes(const VoteMap& votes, const CauseTable& causes, const InitialDisc& disc);
+  /// A cell without votes.
+  void fillUnknown(const InitialDisc& disc, int x, int y, uint16_t cause);
   void paintRegion(const Region& region);
   void measure();
   uint16_t addCause(const Cause& cause);

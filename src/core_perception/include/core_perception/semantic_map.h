@@ -1,13 +1,18 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <array>
+#include <cstdint>
+#include <memory>
 #include <vector>
 
 #include "core_perception/frame_votes.h"
 #include "core_perception/free_space.h"
 #include "core_perception/instance_memory.h"
 #include "core_perception/label_meaning.h"
+#include "core_perception/local_floor.h"
 #include "core_perception/projection.h"
+#include "core_perception/rolling_window.h"
 #include "core_perception/safety_grid.h"
 #include "core_perception/spatial_operators.h"
 #include "core_perception/stage_clock.h"
@@ -37,8 +42,14 @@ class SemanticMap {
   const SafetyGrid& update(const Frame& frame, const Constraints& constraints);
 
   const SafetyGrid& grid() const { return composer_.grid(); }
+  /// Of the rolling window, all zero without one.
+  RollingWindow::Status windowStatus() const {
+    return window_ == nullptr ? RollingWindow::Status() : window_->status();
+  }
   /// Objects held; those of a class that only ON speaks of are left out while it does.
   const std::vector<HeldInstance>& instances() const { return memory_.instances(); }
+  /// Objects left out because there were more than max_instances, in all.
+  uint64_t countDroppedInstances() const { return memory_.countDropped(); }
   /// In force for the newest frame, with the exemptions that were heeded.
   const std::vector<Predicate>& predicates() const { return predicates_; }
   /// Stamp of the first frame since the map was empty [s]; 0 before it.
@@ -63,26 +74,36 @@ class SemanticMap {
   void clear();
 
  private:
+  void followRobot(const Frame& frame, const Projection& projection);
   std::vector<Predicate> findInForce(const Constraints& constraints) const;
-  void collect(const Frame& frame, const Projection& projection, bool vote);
-  void collectInstances(const Frame& frame, const Projection& projection, int v);
+  void collectVotes(const Frame& frame, const Projection& projection);
+  void collectObjects(const Projection& projection);
+  void addObjectPoints(const Projection& projection, const Run& pixels, int16_t slot);
+  /// Points of a row, with heights above the local floor where that is asked for.
+  void projectRow(const Projection& projection, int v, const Run& pixels, int edge_px);
   FloorBand makeFloorBand(const Projection& projection) const;
   void voteRow(const Frame& frame, const Projection& projection, const FloorBand& floor, int v);
+  void findMetric(const FloorBand& floor);
+  int splitRow(const uint16_t* labels, const uint8_t* regions);
+  void nameRules();
+  static constexpr uint8_t kObstacle = 1, kDrop = 2;  ///< of findMetric
   int32_t locateExactly(const Frame& frame, const Projection& projection, const FloorBand& floor,
                         int u, int v) const;
   void mark(Stage stage) const {
     if (stage_clock_ != nullptr) stage_clock_->mark(stage);
   }
-  ColumnRange findReach(const Projection& projection) const;
 
   SemanticMapParams params_;
+  bool by_image_;  ///< image operators
   LabelMeanings meanings_;
   CauseTable causes_;
   FrameVotes frame_votes_;
   VoteMap votes_;
   InstanceDetector detector_;
   InstanceMemory memory_;
+  std::unique_ptr<RollingWindow> window_;  ///< null: everything is kept in memory
   GridComposer composer_;
+  LocalFloor floor_;
   InitialDisc disc_;
   bool has_disc_ = false;
   double history_start_s_ = 0.0;
@@ -90,11 +111,15 @@ class SemanticMap {
   std::vector<Predicate> predicates_;
   cv::Mat metres_;
   // Of the frame being added.
+  LabelRuns label_runs_;
   ImageRegions regions_;
-  std::vector<uint16_t> rule_causes_;  ///< cause of each predicate, for image operators
+  /// Cause by region of the image operators; kNoCause where the label tells it.
+  std::array<uint16_t, kSafeRegion + 1> region_causes_;
   PointRow row_;
-  std::vector<int32_t> voxels_;     ///< of the points of row_
-  std::vector<int32_t> is_object_;  ///< whether a point of row_ may be one of an object
+  std::vector<int32_t> voxels_;   ///< of the points of row_
+  std::vector<uint8_t> metric_;   ///< where they lie, see findMetric
+  std::vector<uint8_t> changes_;  ///< see splitRow
+  std::vector<int> run_starts_;   ///< runs of row_, and its end
 };
 
 }  // namespace core_perception

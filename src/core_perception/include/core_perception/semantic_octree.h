@@ -65,10 +65,21 @@ class SemanticOcTree : public octomap::OccupancyOcTreeBase<SemanticOcTreeNode> {
   /// The leaf at a key, made where it does not exist; a pruned leaf on the way is expanded first.
   /// Consecutive keys that lie close to each other cost few steps: the last path is kept.
   SemanticOcTreeNode* touch(const octomap::OcTreeKey& key);
+  /// Sets the counts of a leaf that touch(key) gave, without a way through the tree.
+  void setCounts(const octomap::OcTreeKey& key, uint32_t n_safe, uint32_t n_unsafe,
+                 SemanticOcTreeNode* leaf) {
+    leaf->setCounts(n_safe, n_unsafe);
+    noteChange(key);
+  }
+  /// As long as this number stays, every leaf that touch() gave is still there. What removes nodes
+  /// changes it, except through OctoMap's own methods of the base class.
+  uint64_t layout() const { return layout_; }
   /// The leaf at a key or nullptr; a pruned leaf that covers it counts.
   const SemanticOcTreeNode* find(const octomap::OcTreeKey& key) const { return search(key); }
   /// Removes the voxel, with inner nodes that become empty.
   void erase(const octomap::OcTreeKey& key);
+  /// Removes every voxel of the cube that a node of this depth (1..12) holds around a key.
+  void eraseCube(const octomap::OcTreeKey& key, unsigned depth);
   /// As the base's; drops the kept path.
   void clear() override;
   void prune() override;
@@ -90,7 +101,11 @@ class SemanticOcTree : public octomap::OccupancyOcTreeBase<SemanticOcTreeNode> {
   };
   /// Edge of a block: 16 voxels.
   static constexpr unsigned kBlockDepth = 12;
-  static uint64_t blockOf(const octomap::OcTreeKey& key);
+  static uint64_t blockOf(const octomap::OcTreeKey& key) {
+    constexpr unsigned kShift = kDepth - kBlockDepth;
+    return (static_cast<uint64_t>(key[0] >> kShift) << 32) |
+           (static_cast<uint64_t>(key[1] >> kShift) << 16) | (key[2] >> kShift);
+  }
   /// What changed since the last call. Changes made through OctoMap's own methods of the base class
   /// (updateNode, deleteNode, ...) are not noticed.
   Changes takeChanges();
@@ -98,9 +113,15 @@ class SemanticOcTree : public octomap::OccupancyOcTreeBase<SemanticOcTreeNode> {
  private:
   static constexpr unsigned kDepth = 16;
 
-  void noteChange(const octomap::OcTreeKey& key);
+  void noteChange(const octomap::OcTreeKey& key) {
+    const uint64_t block = blockOf(key);
+    if (block != last_changed_) noteBlock(block);
+  }
+  void noteBlock(uint64_t block);
   void noteChangeEverywhere();
 
+  void eraseBelow(SemanticOcTreeNode* node);
+  void eraseUpward(const octomap::OcTreeKey& key, unsigned depth);
   bool readSubtree(std::istream& stream, unsigned depth, SemanticOcTreeNode* node);
 
   struct Registration {
@@ -113,6 +134,7 @@ class SemanticOcTree : public octomap::OccupancyOcTreeBase<SemanticOcTreeNode> {
       {};  ///< path_[d]: node of depth d on the way to last_key_
   octomap::OcTreeKey last_key_;
   bool path_valid_ = false;
+  uint64_t layout_ = 0;
   Changes changes_;
   uint64_t last_changed_ = ~uint64_t{0};  ///< block noted last
 };

@@ -15,7 +15,7 @@ namespace core_perception {
 /// centre; bit-equal to
 ///     cv::dilate(mask, out, cv::getStructuringElement(cv::MORPH_ELLIPSE, {kernel_px, kernel_px}))
 /// Source: [CORE] appendix, spatial operators. Differs: every row of the kernel is one run, and so
-/// is what it makes of a run; the runs of an output row are joined by counting their ends.
+/// is what it makes of a run; those are joined as bits.
 PixelSet dilateAround(const PixelSet& set, int kernel_px);
 
 /// BETWEEN(class): the filled convex hull of all pixels of the set; bit-equal to findNonZero,
@@ -38,14 +38,13 @@ class ImageRegions {
  public:
   explicit ImageRegions(int kernel_px) : kernel_px_(kernel_px) {}
 
-  /// @param labels CV_16UC1.
-  void compute(const cv::Mat& labels, const std::vector<LabelClass>& classes,
+  void compute(const LabelRuns& labels, const std::vector<LabelClass>& classes,
                const std::vector<Predicate>& predicates);
   /// CV_8UC1 of the size of the labels.
   const cv::Mat& image() const { return image_; }
 
  private:
-  void findClasses(const cv::Mat& labels, const std::vector<LabelClass>& classes,
+  void findClasses(const LabelRuns& labels, const std::vector<LabelClass>& classes,
                    const std::vector<Predicate>& predicates);
   void paint(const Predicate& predicate, uint8_t value);
 

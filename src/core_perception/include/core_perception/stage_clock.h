@@ -5,16 +5,17 @@ namespace core_perception {
 
 /// The stages of SemanticMap::update, in their order.
 enum class Stage {
-  kPrepare,    ///< checks, depth in metres, meaning of the labels
+  kPrepare,    ///< checks, runs and meaning of the labels
   kOperators,  ///< predicates to pixels
-  kPoints,     ///< projection, and what one frame counts in its voxels
+  kPoints,     ///< depth image to points, and what one frame counts in their voxels
   kVoxels,     ///< counts into the octree and its columns
   kClearing,   ///< what was seen through
+  kObjects,    ///< labelled points to the objects of the frame
   kInstances,  ///< remembered objects
   kRegions,    ///< their regions on the ground
   kGrid        ///< decision and signed distance
 };
-constexpr int kStages = 8;
+constexpr int kStages = 9;
 
 /// Is told where the time of an update goes; for measurements.
 class StageClock {

@@ -46,4 +46,9 @@ void limitVotes(uint32_t cap, Counts* counts);
 /// Takes one unsafe vote away: the voxel was seen through.
 void contradict(Counts* counts);
 
+/// Takes half of the votes away, so that P(safe) never rises: one unsafe vote fades to nothing, the
+/// safe votes beside it fade in proportion.
+/// @param keep_safe of a voxel that is safe already only the unsafe votes fade.
+void fadeVotes(bool keep_safe, Counts* counts);
+
 }  // namespace core_perception

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from core_perception.checks.floor import FloorLimits
 from core_perception.depth_completion import CompletionLimits
 from core_perception.exceptions import ParameterError
-from core_perception.param_fields import choice, flag, number, path, read_parameters, text, whole
+from core_perception.param_fields import Parameters, choice, flag, number, path, text, whole
 from core_perception.scale_fit import KINDS, FitLimits
 from core_perception.self_check import CheckLimits
 
 
 @dataclass(frozen=True)
-class DepthCompletionParams:
+class DepthCompletionParams(Parameters):
     """Parameters of depth_completion; README.md has the same as a table.
 
     Attributes:
@@ -73,17 +73,10 @@ class DepthCompletionParams:
     support_ratio: float = number(0.7, 0.5, 1.0)
     support_range: float = number(0.1, 0.0, 1.0)
 
-    @classmethod
-    def from_dict(cls, values: dict) -> DepthCompletionParams:
-        """Read a parameter dictionary.
-
-        Raises:
-            ParameterError: unknown key, wrong type or value out of range.
-        """
-        params = read_parameters(cls, values)
-        if params.fit_max_m <= params.fit_min_m:
-            raise ParameterError("fit_max_m", params.fit_max_m, f"more than fit_min_m, which is {params.fit_min_m:g}")
-        return params
+    def check(self) -> None:
+        """Check what no field can check alone; see Parameters."""
+        if self.fit_max_m <= self.fit_min_m:
+            raise ParameterError("fit_max_m", self.fit_max_m, f"more than fit_min_m, which is {self.fit_min_m:g}")
 
     @property
     def limits(self) -> CompletionLimits:
@@ -95,7 +88,7 @@ class DepthCompletionParams:
 
 
 @dataclass(frozen=True)
-class SelfCheckParams:
+class SelfCheckParams(Parameters):
     """Parameters of self_check; README.md has the same as a table.
 
     Attributes:
@@ -126,17 +119,10 @@ class SelfCheckParams:
     repeat_s: float = number(0.0, 0.0, 86400.0)
     exit_when_done: bool = flag(False)
 
-    @classmethod
-    def from_dict(cls, values: dict) -> SelfCheckParams:
-        """Read a parameter dictionary.
-
-        Raises:
-            ParameterError: unknown key, wrong type or value out of range.
-        """
-        params = read_parameters(cls, values)
-        if not params.map_frame:
-            raise ParameterError("map_frame", params.map_frame, "the name of a frame")
-        return params
+    def check(self) -> None:
+        """Check what no field can check alone; see Parameters."""
+        if not self.map_frame:
+            raise ParameterError("map_frame", self.map_frame, "the name of a frame")
 
     @property
     def limits(self) -> CheckLimits:

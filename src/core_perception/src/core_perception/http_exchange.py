@@ -193,3 +193,44 @@ class HttpExchange:
         if isinstance(error, (http.client.HTTPException, ValueError)):
             return ServerError("bad_reply", f"{url} does not speak HTTP ({type(error).__name__})")
         return error
+
+
+class OneExchange:
+    """Runs exchanges with one server, one after the other; close() ends the one under way from another thread."""
+
+    def __init__(self, endpoint: Endpoint):
+        """Keep where the server is."""
+        self._endpoint = endpoint
+        self._lock = threading.Lock()  # of the next two
+        self._exchange: Optional[HttpExchange] = None
+        self._is_closed = False
+
+    def run(self, request: HttpRequest, deadline_s: float, max_reply_bytes: int) -> Tuple[int, bytes]:
+        """Send and return status and body.
+
+        Args:
+            request: what to send.
+            deadline_s: of the last byte of the reply, of time.monotonic() [s].
+            max_reply_bytes: a longer reply is an error.
+
+        Raises:
+            ServerError: as HttpExchange.run(), or closed.
+        """
+        exchange = HttpExchange(self._endpoint, request, max_reply_bytes)
+        with self._lock:
+            if self._is_closed:
+                raise ServerError("closed", "this client was closed")
+            self._exchange = exchange
+        try:
+            return exchange.run(deadline_s - time.monotonic())
+        finally:
+            with self._lock:
+                self._exchange = None
+
+    def close(self) -> None:
+        """End an exchange under way at once; every later one fails."""
+        with self._lock:
+            self._is_closed = True
+            exchange = self._exchange
+        if exchange is not None:
+            exchange.abort(ServerError("closed", "this client was closed"))

@@ -48,12 +48,14 @@ class OverlayStyle:
     Attributes:
         scale: size of the picture over that of the image, a whole number >= 1.
         opacity: weight of the tint, 0..1.
-        obstacle_height_m: points higher than this above z = 0 of odom are obstacles [m].
+        floor_z_m: height of the floor in the grid's frame [m].
+        obstacle_height_m: points higher than this above the floor are obstacles [m].
         max_range_m: farthest distance along the optical axis that is tinted [m].
     """
 
     scale: int = 2
     opacity: float = 0.45
+    floor_z_m: float = 0.0
     obstacle_height_m: float = 0.10
     max_range_m: float = 7.0
 
@@ -93,7 +95,7 @@ def pixel_states(
     p_camera = np.stack([z * (u - K[0, 2]) / K[0, 0], z * (v - K[1, 2]) / K[1, 1], z], axis=-1)
     p_odom = p_camera @ np.asarray(T_odom_camera)[:3, :3].T + np.asarray(T_odom_camera)[:3, 3]
     states = _cell_states(p_odom[..., 0], p_odom[..., 1], grid_view)
-    states[p_odom[..., 2] > style.obstacle_height_m] = UNSAFE
+    states[p_odom[..., 2] > style.floor_z_m + style.obstacle_height_m] = UNSAFE
     states[~hit] = UNTOUCHED
     return states
 

@@ -125,6 +125,28 @@ def class_map():
     return field(default=(), metadata={"read": read, "allowed": "a list such as ['11=person', '255=none']"})
 
 
+class Parameters:
+    """What the frozen dataclasses of parameters have in common."""
+
+    @classmethod
+    def from_dict(cls, values: dict):
+        """Read a parameter dictionary.
+
+        Raises:
+            ParameterError: unknown key, wrong type, value out of range, or values that do not fit each other.
+        """
+        params = read_parameters(cls, values)
+        params.check()
+        return params
+
+    def check(self) -> None:  # noqa: B027 - most have no such rule
+        """Check what no field can check alone.
+
+        Raises:
+            ParameterError: values that do not fit each other.
+        """
+
+
 def read_parameters(cls: Callable, values: dict):
     """Build ``cls`` from a parameter dictionary; see the class for keys and Raises."""
     fields = {f.name: f for f in dataclasses.fields(cls)}

@@ -8,13 +8,13 @@ from typing import Tuple
 
 from core_perception.exceptions import ParameterError
 from core_perception.param_fields import (
+    Parameters,
     choice,
     class_map,
     class_names,
     flag,
     number,
     path,
-    read_parameters,
     sentences,
     statements,
     text,
@@ -28,7 +28,7 @@ SEGMENTERS = ("simulated", "remote", "topic", "replay")
 
 
 @dataclass(frozen=True)
-class ReasonerParams:
+class ReasonerParams(Parameters):
     """Parameters of safety_reasoner; README.md has the same as a table.
 
     Attributes:
@@ -116,26 +116,19 @@ class ReasonerParams:
     emulated_correlation: str = choice("independent", "independent", "scene")
     seed: int = whole(0, 0, 2**31 - 1)
 
-    @classmethod
-    def from_dict(cls, values: dict) -> ReasonerParams:
-        """Read a parameter dictionary.
-
-        Raises:
-            ParameterError: unknown key, wrong type, value out of range, or a value that the chosen reasoner lacks.
-        """
-        params = read_parameters(cls, values)
-        if params.reasoner in ("oracle", "emulated", "scripted") and not params.predicates:
-            allowed = f"at least one statement with reasoner {params.reasoner}"
-            raise ParameterError("predicates", list(params.predicates), allowed)
-        if params.reasoner == "replay" and not params.replay_dir:
-            raise ParameterError("replay_dir", params.replay_dir, "the path of a recording with reasoner replay")
-        if params.reasoner == "ollama" and not params.model:
-            raise ParameterError("model", params.model, "the name of a model with reasoner ollama, such as gemma3:27b")
-        return params
+    def check(self) -> None:
+        """Check what no field can check alone; see Parameters."""
+        if self.reasoner in ("oracle", "emulated", "scripted") and not self.predicates:
+            allowed = f"at least one statement with reasoner {self.reasoner}"
+            raise ParameterError("predicates", list(self.predicates), allowed)
+        if self.reasoner == "replay" and not self.replay_dir:
+            raise ParameterError("replay_dir", self.replay_dir, "the path of a recording with reasoner replay")
+        if self.reasoner == "ollama" and not self.model:
+            raise ParameterError("model", self.model, "the name of a model with reasoner ollama, such as gemma3:27b")
 
 
 @dataclass(frozen=True)
-class SegmenterParams:
+class SegmenterParams(Parameters):
     """Parameters of segmenter; README.md says which belong to which segmenter.
 
     Attributes:
@@ -194,32 +187,26 @@ class SegmenterParams:
     replay_dir: str = path("", "the path of a recording, or empty")
     replay_by: str = choice("stamp", "stamp", "hash")
 
-    @classmethod
-    def from_dict(cls, values: dict) -> SegmenterParams:
-        """Read a parameter dictionary.
-
-        Raises:
-            ParameterError: unknown key, wrong type, value out of range, or a value that the chosen segmenter lacks or
-                cannot honour.
-        """
-        params = read_parameters(cls, values)
-        if params.segmenter == "replay" and not params.replay_dir:
-            raise ParameterError("replay_dir", params.replay_dir, "the path of a recording with segmenter replay")
-        if params.lockstep and params.latency_s > 0.0:
+    def check(self) -> None:
+        """Check what no field can check alone; see Parameters."""
+        if self.segmenter == "replay" and not self.replay_dir:
+            raise ParameterError("replay_dir", self.replay_dir, "the path of a recording with segmenter replay")
+        if self.lockstep and self.latency_s > 0.0:
             allowed = "0 with lockstep, where the world waits for the labels of every frame"
-            raise ParameterError("latency_s", params.latency_s, allowed)
-        return params
+            raise ParameterError("latency_s", self.latency_s, allowed)
 
 
 @dataclass(frozen=True)
-class OverlayParams:
+class OverlayParams(Parameters):
     """Parameters of safety_overlay.
 
     Attributes:
         rate_hz: largest rate of ``safety/overlay`` [Hz].
         scale: size of the picture over that of the camera image.
         opacity: weight of the tint, 0 (none) to 1 (only the tint).
-        obstacle_height_m: points higher than this above the ground are obstacles [m].
+        slop_s: largest stamp difference of colour, depth and grid [s].
+        floor_z_m: height of the floor in the grid's frame [m].
+        obstacle_height_m: points higher than this above the floor are obstacles [m].
         max_range_m: farthest distance along the optical axis that is tinted [m].
         tf_timeout_s: longest wait for the camera's pose [s].
     """
@@ -227,15 +214,8 @@ class OverlayParams:
     rate_hz: float = number(5.0, 0.1, 100.0)
     scale: int = whole(2, 1, 4)
     opacity: float = number(0.45, 0.0, 1.0)
+    slop_s: float = number(0.02, 0.0, 1.0)
+    floor_z_m: float = number(0.0)
     obstacle_height_m: float = number(0.10, 0.0, 5.0)
     max_range_m: float = number(7.0, 0.1, 100.0)
     tf_timeout_s: float = number(0.2, 0.0, 10.0)
-
-    @classmethod
-    def from_dict(cls, values: dict) -> OverlayParams:
-        """Read a parameter dictionary.
-
-        Raises:
-            ParameterError: unknown key, wrong type or value out of range.
-        """
-        return read_parameters(cls, values)

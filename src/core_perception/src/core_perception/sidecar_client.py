@@ -14,14 +14,14 @@ import time
 from pathlib import Path
 from typing import Any, Dict, Optional
 
-import cv2
 import numpy as np
 
 from core_perception.endpoint import Endpoint, load_allowed_hosts
-from core_perception.exceptions import EvidenceError, ServerError
-from core_perception.http_exchange import HttpExchange, HttpRequest
+from core_perception.exceptions import ServerError
+from core_perception.http_exchange import HttpRequest, OneExchange
+from core_perception.json_server import CONTRACT_VERSION
+from core_perception.picture_file import write_picture
 
-CONTRACT_VERSION = 1
 MAX_REPLY_BYTES = 1 << 23
 JPEG_QUALITY = 92
 LONGEST_NUMBER = 25
@@ -42,9 +42,7 @@ class SidecarClient:
         self.endpoint, self.deadline_s = endpoint, deadline_s
         self._max_reply_bytes = max_reply_bytes
         self._turn = threading.Lock()  # held while a request is in flight
-        self._lock = threading.Lock()  # of the next two
-        self._exchange: Optional[HttpExchange] = None
-        self._is_closed = False
+        self._exchange = OneExchange(endpoint)
 
     def call(self, path: str, value: Any = None, limit_s: Optional[float] = None) -> Dict[str, Any]:
         """Send a value (POST), or nothing (GET), and return the reply, an object of this contract's version.
@@ -63,7 +61,7 @@ class SidecarClient:
             raise ServerError("busy", "a request is in flight")
         try:
             limit_s = self.deadline_s if limit_s is None else limit_s
-            status, body = self._run(request, begun_s + limit_s)
+            status, body = self._exchange.run(request, begun_s + limit_s, self._max_reply_bytes)
             return self._read(status, body)
         except ServerError as error:
             error.latency_s = time.monotonic() - begun_s
@@ -73,23 +71,7 @@ class SidecarClient:
 
     def close(self) -> None:
         """End a request under way at once; every later one fails."""
-        with self._lock:
-            self._is_closed = True
-            exchange = self._exchange
-        if exchange is not None:
-            exchange.abort(ServerError("closed", "this client was closed"))
-
-    def _run(self, request, deadline_s):
-        exchange = HttpExchange(self.endpoint, request, self._max_reply_bytes)
-        with self._lock:
-            if self._is_closed:
-                raise ServerError("closed", "this client was closed")
-            self._exchange = exchange
-        try:
-            return exchange.run(deadline_s - time.monotonic())
-        finally:
-            with self._lock:
-                self._exchange = None
+        self._exchange.close()
 
     def _read(self, status: int, body: bytes) -> Dict[str, Any]:
         if status != 200:
@@ -127,18 +109,8 @@ def encode_picture(image_rgb: np.ndarray, kind: str, max_image_px: int) -> Dict[
     Raises:
         EvidenceError: the image has another shape or type, or no pixel.
     """
-    image = np.asarray(image_rgb)
-    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
-        raise EvidenceError(f"an image is (h, w, 3) uint8, not {image.shape} {image.dtype}")
-    height_px, width_px = image.shape[:2]
-    scale = max_image_px / max(height_px, width_px)
-    if scale < 1.0:
-        size = (max(1, round(width_px * scale)), max(1, round(height_px * scale)))
-        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if kind == "jpeg" else []
-    file = cv2.imencode("." + kind, cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2BGR), options)[1]
-    data = base64.b64encode(file.tobytes()).decode("ascii")
-    return {"format": kind, "size": list(image.shape[:2]), "data": data}
+    file, size_px = write_picture(image_rgb, max_image_px, kind, JPEG_QUALITY)
+    return {"format": kind, "size": list(size_px), "data": base64.b64encode(file).decode("ascii")}
 
 
 def read_json(body: bytes) -> Any:

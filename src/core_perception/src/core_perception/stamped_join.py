@@ -26,6 +26,16 @@ class StampedJoin:
         self._newest_ns: Dict[str, int] = {}
         self._capacity, self._slop_ns = capacity, slop_ns
 
+    @property
+    def missing(self) -> str:
+        """What keeps a frame from being whole, in words; empty for nothing."""
+        never = [stream for stream in self._items if stream not in self._newest_ns]
+        if never:
+            return f"no {' and no '.join(never)} came"
+        if any(self._items.values()):
+            return f"{' and '.join(self._items)} come, but not with one stamp"
+        return ""
+
     def add(self, stream: str, stamp_ns: int, item: Any) -> Optional[Dict[str, Any]]:
         """Take in one item; return the items of all streams near its stamp if it completes them, otherwise None."""
         newest_ns = self._newest_ns.get(stream)

@@ -26,7 +26,7 @@ core_msgs::UnsafeCause causeToMessage(const Cause& cause) {
   message.rule = cause.rule;
   message.class_name = cause.class_name;
   message.instance_id = cause.instance_id;
-  message.motion = core_msgs::UnsafeCause::STATIC;
+  message.motion = cause.mobile ? core_msgs::UnsafeCause::MOBILE : core_msgs::UnsafeCause::STATIC;
   return message;
 }
 

@@ -1,14 +1,12 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "core_perception/ros/octomap_outputs.h"
 
-#include <sys/stat.h>
-
 #include <algorithm>
 #include <cctype>
-#include <cstdlib>
 #include <stdexcept>
 
 #include "core_perception/ros/conversions.h"
+#include "core_perception/ros/map_folder.h"
 #include "core_perception/semantic_octree_io.h"
 
 namespace core_perception {
@@ -36,11 +34,6 @@ std::string quote(std::string text) {
   std::replace_if(
       text.begin(), text.end(), [](unsigned char c) { return std::isprint(c) == 0; }, '?');
   return "'" + text + "'";
-}
-
-std::string readEnvironment(const char* name) {
-  const char* value = std::getenv(name);
-  return value == nullptr ? "" : value;
 }
 
 }  // namespace
@@ -129,7 +122,7 @@ bool OctomapOutputs::onSave(const std::string& file, core_msgs::SaveMap::Respons
     response->message = "the map is empty";
     return true;
   }
-  const std::string path = findDirectory() + "/" + file;
+  const std::string path = findMapFolder(params_.map_dir) + "/" + file;
   try {
     const WireFormat format = hasEnding(file, ".bt") ? WireFormat::kBinary : WireFormat::kSemantic;
     writeFileAtomically(path, formatFile(format, map.tree));
@@ -140,17 +133,6 @@ bool OctomapOutputs::onSave(const std::string& file, core_msgs::SaveMap::Respons
     response->message = error.what();
   }
   return true;
-}
-
-/// As rospy and roslaunch: ROS_HOME, else ~/.ros. Only this default is made where it is missing.
-std::string OctomapOutputs::findDirectory() const {
-  if (!params_.map_dir.empty()) return params_.map_dir;
-  std::string home = readEnvironment("ROS_HOME");
-  if (home.empty()) home = readEnvironment("HOME") + "/.ros";
-  const std::string directory = home + "/core_maps";
-  ::mkdir(home.c_str(), 0755);
-  ::mkdir(directory.c_str(), 0755);
-  return directory;
 }
 
 }  // namespace core_perception

@@ -7,6 +7,7 @@
 #include <algorithm>
 
 #include "core_perception/exceptions.h"
+#include "core_perception/ros/map_folder.h"
 #include "core_perception/saved_map.h"
 
 namespace core_perception {
@@ -15,18 +16,18 @@ namespace {
 constexpr double kTfCache_s = 60.0;  // a segmenter may need seconds for its labels
 constexpr double kClockSetBack_s = 1.0;
 
-diagnostic_msgs::KeyValue makeEntry(const std::string& key, const std::string& value) {
-  diagnostic_msgs::KeyValue entry;
-  entry.key = key;
-  entry.value = value;
-  return entry;
+SemanticMapParams withTileFolder(const NodeParams& params) {
+  SemanticMapParams map = params.map;
+  if (map.window.keep_radius_m > 0.0 && map.window.outside == "disk")
+    map.window.tile_dir = findMapFolder(params.map_dir);
+  return map;
 }
 
 }  // namespace
 
 SemanticMapNode::SemanticMapNode(const NodeParams& params)
     : params_(params),
-      map_(params.map),
+      map_(withTileFolder(params)),
       queue_(params.lockstep, params.slop_s, params.queue_size),
       tf_(ros::Duration(kTfCache_s)) {
   tf_.setUsingDedicatedThread(true);  // look-ups below never wait
@@ -182,9 +183,10 @@ bool SemanticMapNode::lookUpPose(const std_msgs::Header& header, Frame* frame) {
     const Eigen::Isometry3d base = tf2::transformToEigen(
         tf_.lookupTransform(params_.map_frame, params_.base_frame, header.stamp));
     frame->p_map_base = Point2{base.translation().x(), base.translation().y()};
+    tf_wait_.clear();
     return true;
   } catch (const tf2::TransformException& error) {
-    ROS_WARN_THROTTLE(5.0, "semantic_map: waiting for tf: %s", error.what());
+    tf_wait_ = error.what();
     return false;
   }
 }
@@ -223,36 +225,6 @@ MapSnapshot SemanticMapNode::takeSnapshot() {
 uint64_t SemanticMapNode::countChanges() {
   const std::lock_guard<std::mutex> lock(map_mutex_);
   return n_changes_;
-}
-
-void SemanticMapNode::publishDiagnostics(const ros::WallTimerEvent&) {
-  double slowest_snapshot_ms = 0.0;
-  {
-    const std::lock_guard<std::mutex> lock(map_mutex_);
-    std::swap(slowest_snapshot_ms, snapshot_ms_);
-  }
-  diagnostic_msgs::DiagnosticArray array;
-  array.header.stamp = ros::Time::now();
-  diagnostic_msgs::DiagnosticStatus status;
-  status.name = "semantic_map";
-  status.hardware_id = nh_.getNamespace();
-  status.level = last_rejection_.empty() ? diagnostic_msgs::DiagnosticStatus::OK
-                                         : diagnostic_msgs::DiagnosticStatus::ERROR;
-  status.message = !last_rejection_.empty() ? last_rejection_
-                   : n_frames_ > 0          ? "running"
-                                            : "no frame yet";
-  status.values = {makeEntry("frames", std::to_string(n_frames_)),
-                   makeEntry("rejected", std::to_string(n_rejected_)),
-                   makeEntry("dropped", std::to_string(n_dropped_)),
-                   makeEntry("instances", std::to_string(map_.instances().size())),
-                   makeEntry("octree_nodes", std::to_string(map_.votes().tree().size())),
-                   makeEntry("update_ms", std::to_string(update_ms_)),
-                   makeEntry("slowest_update_ms", std::to_string(slowest_update_ms_)),
-                   makeEntry("slowest_snapshot_ms", std::to_string(slowest_snapshot_ms))};
-  array.status.push_back(status);
-  diagnostics_pub_.publish(array);
-  last_rejection_.clear();
-  slowest_update_ms_ = 0.0;
 }
 
 void SemanticMapNode::reject(const std::string& reason, const std::string& detail) {

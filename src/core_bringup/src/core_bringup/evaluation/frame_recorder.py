@@ -30,7 +30,7 @@ from core_bringup.pybullet_renderer import PybulletRenderer
 from core_bringup.robot import RobotConfig
 from core_bringup.rotations import quaternion_of_rpy
 from core_bringup.world import find_worlds_dir, load_world
-from core_bringup.world_types import CameraNoise, World
+from core_bringup.world_types import World
 from core_perception.predicates import Predicate, canonical_class_name, parse_predicate
 
 FIRST_STAMP_S = 1.0  # the map refuses stamp 0
@@ -38,6 +38,8 @@ FIRST_STAMP_S = 1.0  # the map refuses stamp 0
 DRAWING = ("backend", "camera*", "drawn_mesh", "face_painter", "flat_faces", "motion", "polygons", "pybullet_render*",
            "pybullet_scene", "robot", "rotations", "world*")  # fmt: skip
 REACHED_M = 0.15
+# stamp [s], T_map_camera (4, 4), p_map_base (2,) [m], depth [mm] and labels (h, w) uint16.
+Frame = Tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 SWAY_RAD, SWAY_M = (0.012, 0.010), 0.006  # amplitudes of roll and pitch, and of the height
 
 
@@ -136,41 +138,53 @@ def record(scene: RecordingScene, n_frames: int, path: Path, predicates: Optiona
     robot = RobotConfig.load(find_robot_file())
     world = load_world(scene.world).for_task(scene.task)
     task = world.task(scene.task)
+    header = make_header(scene, world, robot, predicates)
+    poses = walk(task.start_pose, scene.waypoints_m or task.waypoints_m, scene.speed_mps, robot)
+    with atomic_path(Path(path)) as temporary, RecordingWriter(temporary, header, n_frames) as writer:
+        for frame in render_frames(world, robot, scene.noise_seed, itertools.islice(poses, n_frames)):
+            writer.add(*frame)
+
+
+def make_header(
+    scene: RecordingScene, world: World, robot: RobotConfig, predicates: Optional[Sequence[Predicate]] = None
+) -> RecordingHeader:
+    """Header of a recording of a scene; predicates in place of the task's."""
+    task = world.task(scene.task)
     if predicates is None:
         texts = task.oracle_predicates + (task.over_cautious if scene.timid else ())
         predicates = [parse_predicate(text) for text in texts]
     classes = {label: canonical_class_name(name) for label, name in world.class_of_label().items()}
-    header = RecordingHeader(robot.camera.model, classes, tuple(predicates))
-    poses = walk(task.start_pose, scene.waypoints_m or task.waypoints_m, scene.speed_mps, robot)
-    noise = replace(world.camera_noise, seed=scene.noise_seed)
+    return RecordingHeader(robot.camera.model, classes, tuple(predicates))
+
+
+def render_frames(world: World, robot: RobotConfig, noise_seed: int, poses: Iterable[WalkPose]) -> Iterator[Frame]:
+    """Yield a frame for every pose, in the order of the arguments of RecordingWriter.add.
+
+    Args:
+        world: of one task.
+        robot: its camera and how it is mounted.
+        noise_seed: of the camera noise the world declares; 0: exact depth.
+        poses: of base_link.
+
+    Raises:
+        BringupError: the renderer failed.
+    """
+    noise, motion = replace(world.camera_noise, seed=noise_seed), WorldMotion(world.objects)
+    R_base_optical, p_base_optical = robot.camera_mount.compute_optical_pose()
     renderer = PybulletRenderer(world, robot)
     try:
-        with atomic_path(Path(path)) as temporary, RecordingWriter(temporary, header, n_frames) as writer:
-            _draw_frames(world, robot, noise, itertools.islice(poses, n_frames), renderer, writer)
+        for pose in poses:
+            state = _state(world, robot, pose, motion)
+            frame = renderer.render(state)
+            stamp_s = FIRST_STAMP_S + pose.time_s
+            _, depth_m = add_camera_noise(frame.color, frame.depth_m, noise, round(1e9 * stamp_s))
+            T_map_camera = np.eye(4)
+            R_map_base = _rotation(state.q_world_base)
+            T_map_camera[:3, :3] = R_map_base @ R_base_optical
+            T_map_camera[:3, 3] = state.p_world_base + R_map_base @ p_base_optical
+            yield stamp_s, T_map_camera, state.p_world_base[:2], depth_to_mm(depth_m), frame.labels
     finally:
         renderer.close()
-
-
-def _draw_frames(
-    world: World,
-    robot: RobotConfig,
-    noise: CameraNoise,
-    poses: Iterable[WalkPose],
-    renderer: PybulletRenderer,
-    writer: RecordingWriter,
-) -> None:
-    motion = WorldMotion(world.objects)
-    R_base_optical, p_base_optical = robot.camera_mount.compute_optical_pose()
-    for pose in poses:
-        state = _state(world, robot, pose, motion)
-        frame = renderer.render(state)
-        stamp_s = FIRST_STAMP_S + pose.time_s
-        _, depth_m = add_camera_noise(frame.color, frame.depth_m, noise, round(1e9 * stamp_s))
-        T_map_camera = np.eye(4)
-        R_map_base = _rotation(state.q_world_base)
-        T_map_camera[:3, :3] = R_map_base @ R_base_optical
-        T_map_camera[:3, 3] = state.p_world_base + R_map_base @ p_base_optical
-        writer.add(stamp_s, T_map_camera, state.p_world_base[:2], depth_to_mm(depth_m), frame.labels)
 
 
 def _state(world: World, robot: RobotConfig, pose: WalkPose, motion: WorldMotion) -> RobotState:

@@ -125,7 +125,7 @@ class Measurement:
         return [name[len("stage_") : -len("_cpu_ms")] for name in self.series if name.startswith("stage_")]
 
     def map_part(self, every: int = 1) -> np.ndarray:
-        """CPU time [ms] a frame of what OctoMap's insertion does too: points to voxels, these to octree and columns."""
+        """CPU time [ms] a frame from the depth image to octree and columns, where OctoMap's insertion ends too."""
         return sum(self.per_frame(f"stage_{name}_cpu_ms", every) for name in ("points", "voxels"))
 
 

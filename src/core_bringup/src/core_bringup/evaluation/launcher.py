@@ -40,6 +40,9 @@ class RoslaunchProcess:
     Args:
         command: the command without port, for example ("roslaunch", "core_bringup", "demo.launch").
         log_path: file that receives everything the graph prints.
+
+    Attributes:
+        master_uri: of the graph, once it is started.
     """
 
     def __init__(self, command: Sequence[str], log_path: Path):
@@ -51,14 +54,16 @@ class RoslaunchProcess:
         self._process: Optional[subprocess.Popen] = None
         self._reader: Optional[threading.Thread] = None
         self._claim: Optional[socket.socket] = None
+        self.master_uri = ""
 
     def __enter__(self) -> RoslaunchProcess:
         """Start roslaunch on a free port."""
         self._log_path.parent.mkdir(parents=True, exist_ok=True)
         port, self._claim = claim_port()
+        self.master_uri = f"http://localhost:{port}"
         self._process = subprocess.Popen(
             [self._command[0], "-p", str(port), *self._command[1:]],
-            env=self._environment(port),
+            env=self._environment(),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -122,10 +127,10 @@ class RoslaunchProcess:
                 os.kill(pid, number)
         return leftovers
 
-    def _environment(self, port: int) -> Dict[str, str]:
+    def _environment(self) -> Dict[str, str]:
         environment = dict(os.environ)
         environment[RUN_ID_VARIABLE] = self._run_id
-        environment["ROS_MASTER_URI"] = f"http://localhost:{port}"
+        environment["ROS_MASTER_URI"] = self.master_uri
         environment["ROS_LOG_DIR"] = str((self._log_path.parent / "ros_log").resolve())
         environment["PYTHONUNBUFFERED"] = "1"
         if "ROS_IP" not in environment:

@@ -14,7 +14,7 @@ from core_bringup.evaluation.attribution import DEFAULT_RADIUS_M
 from core_bringup.evaluation.records import TickRecord
 from core_bringup.ground_truth import ROBOT_HEIGHT_M, object_clearance_m
 from core_bringup.motion import Poses, WorldMotion
-from core_bringup.polygons import contains_point, point_distance_m, rectangle
+from core_bringup.polygons import contains_point, point_distance_m, rectangle, signed_clearance_m
 from core_bringup.regions import region_clearance_m, region_outline_m
 from core_bringup.rotations import yaw_of_quaternion
 from core_bringup.world_types import WorldObject
@@ -159,7 +159,7 @@ class TruthScene:
 
     def _between_distance_m(self, class_name: str, point_m: Sequence[float], index: int) -> float:
         items = [object_outline_m(o) for o in self.objects(index) if self._is_called(o, class_name)]
-        hulls = [convex_hull_m(np.vstack(cluster)) for cluster in _link(items)]
+        hulls = [convex_hull_m(np.vstack(cluster)) for cluster in link_outlines(items)]
         return min((outline_distance_m(hull, point_m) for hull in hulls), default=math.inf)
 
     def _is_called(self, item: WorldObject, name: str) -> bool:
@@ -210,14 +210,15 @@ def convex_hull_m(points_m: np.ndarray) -> np.ndarray:
     return cv2.convexHull(points_m.astype(np.float32)).reshape(-1, 2).astype(float)
 
 
-def _link(outlines: Sequence[np.ndarray]) -> List[List[np.ndarray]]:
-    """Groups of outlines, each linked to another of its group by a gap up to LINK_M."""
+def link_outlines(outlines_m: Sequence[np.ndarray], max_gap_m: float = LINK_M) -> List[List[np.ndarray]]:
+    """Groups of convex outlines, each linked to another of its group by a gap up to max_gap_m, border to border."""
     groups: List[List[np.ndarray]] = []
-    for outline in outlines:
-        near = [g for g in groups if any(_gap_m(outline, other) <= LINK_M for other in g)]
-        groups = [g for g in groups if not any(g is n for n in near)] + [[outline, *(o for g in near for o in g)]]
+    for outline_m in outlines_m:
+        near = [g for g in groups if any(_gap_m(outline_m, other_m) <= max_gap_m for other_m in g)]
+        apart = [g for g in groups if not any(g is n for n in near)]
+        groups = [*apart, [outline_m, *(o for group in near for o in group)]]
     return groups
 
 
-def _gap_m(a: np.ndarray, b: np.ndarray) -> float:
-    return float(np.linalg.norm(a[:, None] - b[None], axis=2).min())
+def _gap_m(a_m: np.ndarray, b_m: np.ndarray) -> float:
+    return max(signed_clearance_m(a_m, b_m), 0.0)

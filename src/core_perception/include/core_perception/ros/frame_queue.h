@@ -2,6 +2,7 @@
 #pragma once
 
 #include <map>
+#include <string>
 #include <vector>
 
 #include "core_perception/ros/conversions.h"
@@ -31,19 +32,24 @@ class FrameQueue {
   /// apart.
   /// @returns number of depth images dropped that were older.
   int dropUpTo(const ros::Time& stamp);
-  /// Drops what is newer: it was sent before the clock was set back.
+  /// Drops what is newer: it was sent before the clock was set back. Without lock-step the newest
+  /// camera_info stays: some drivers send it once.
   void dropAfter(const ros::Time& stamp);
+  /// What the newest labels wait for, in words; empty where nothing is missing.
+  std::string describeMissing() const;
 
  private:
   template <typename Message>
   using ByStamp = std::map<ros::Time, Message>;
 
   sensor_msgs::ImageConstPtr findDepth(const ros::Time& stamp) const;
+  std::string describeNever() const;
   bool complete(const ros::Time& stamp, const ros::Time& now, FrameMessages* frame) const;
 
   bool lockstep_;
   double slop_s_;
   size_t size_;
+  bool had_depth_ = false, had_labels_ = false, had_camera_info_ = false, had_label_info_ = false;
   ByStamp<sensor_msgs::ImageConstPtr> depth_, labels_;
   ByStamp<sensor_msgs::CameraInfoConstPtr> camera_info_;
   ByStamp<core_msgs::LabelInfoConstPtr> label_info_;

@@ -48,7 +48,6 @@ class OctomapOutputs {
   void advertise(const std::string& topic, MakeMessage makeMessage);
   void publish(const ros::WallTimerEvent& event);
   bool onSave(const std::string& file, core_msgs::SaveMap::Response* response);
-  std::string findDirectory() const;
 
   NodeParams params_;
   TakeSnapshot takeSnapshot_;

@@ -26,7 +26,7 @@ namespace core_perception {
 /// 3-D outputs have a thread of their own, which takes a snapshot under a lock.
 class SemanticMapNode {
  public:
-  /// @throws ParameterError map_file cannot be used.
+  /// @throws ParameterError map_file or map_dir cannot be used.
   explicit SemanticMapNode(const NodeParams& params);
 
  private:
@@ -45,6 +45,8 @@ class SemanticMapNode {
   bool lookUpPose(const std_msgs::Header& header, Frame* frame);
   void publish(const std_msgs::Header& header, const ros::Time& constraints_stamp);
   void publishDiagnostics(const ros::WallTimerEvent& event);
+  /// Why no frame has come into the map lately, in words; empty while frames come.
+  std::string describeWait();
   void reject(const std::string& reason, const std::string& detail);
   void flush(const ros::Time& stamp);
   void forget();
@@ -74,8 +76,11 @@ class SemanticMapNode {
   std::vector<ros::ServiceServer> services_;
   std::vector<ros::WallTimer> timers_;
 
-  uint64_t n_frames_ = 0, n_rejected_ = 0, n_dropped_ = 0;
+  uint64_t n_frames_ = 0, n_rejected_ = 0, n_dropped_ = 0, n_lost_told_ = 0;
   std::string last_rejection_;  ///< since the last diagnostics
+  std::string tf_wait_;         ///< why the newest frame has no pose; empty when it has
+  uint64_t n_frames_told_ = 0;  ///< frames when describeWait() was last called
+  ros::WallTime last_progress_;
   double update_ms_ = 0.0, slowest_update_ms_ = 0.0, snapshot_ms_ = 0.0;
   std::unique_ptr<OctomapOutputs> outputs_;  ///< last: its thread ends before what it reads goes
 };

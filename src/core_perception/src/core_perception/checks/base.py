@@ -74,10 +74,23 @@ class CameraInfo:
     binning: Tuple[int, int] = (0, 0)
     roi: Tuple[int, int, int, int] = (0, 0, 0, 0)
 
+    @property
+    def is_part(self) -> bool:
+        """The images are a part of the sensor's, or binned."""
+        return any(self.roi) or max(self.binning) > 1
+
+    @property
+    def image_size_px(self) -> Tuple[int, int]:
+        """Width and height of the images it is for: region of interest in full resolution, then binning."""
+        sizes = (self.roi[2] or self.width_px, self.roi[3] or self.height_px)
+        return sizes[0] // max(self.binning[0], 1), sizes[1] // max(self.binning[1], 1)
+
     def matrix_at(self, width_px: int, height_px: int) -> np.ndarray:
         """(3, 3) camera matrix for an image of another size; borders of pixels scale, not their centres."""
-        sx, sy = width_px / self.width_px, height_px / self.height_px
-        fx, fy, cx, cy = self.K[0] * sx, self.K[4] * sy, (self.K[2] + 0.5) * sx - 0.5, (self.K[5] + 0.5) * sy - 0.5
+        sx, sy = width_px / self.image_size_px[0], height_px / self.image_size_px[1]
+        sx, sy = sx / max(self.binning[0], 1), sy / max(self.binning[1], 1)
+        cx, cy = self.K[2] - self.roi[0], self.K[5] - self.roi[1]
+        fx, fy, cx, cy = self.K[0] * sx, self.K[4] * sy, (cx + 0.5) * sx - 0.5, (cy + 0.5) * sy - 0.5
         return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
     @property

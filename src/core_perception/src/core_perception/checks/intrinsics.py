@@ -62,12 +62,17 @@ def check_intrinsics(
 
 
 def _check_sizes(info, depth_size_px, color_size_px):
-    findings = []
+    findings, meant = [], info.image_size_px
+    part = (
+        f" (binning {info.binning[0]} x {info.binning[1]}, region of interest at {info.roi[:2]})"
+        if info.is_part
+        else ""
+    )
     for name, size in (("depth", depth_size_px), ("colour", color_size_px)):
-        if size is None or size == (info.width_px, info.height_px):
+        if size is None or size == meant:
             continue
-        sizes = f"The {name} images are {size[0]} x {size[1]}, camera_info is for {info.width_px} x {info.height_px}"
-        if abs(info.width_px * size[1] - info.height_px * size[0]) > SHAPE_TOLERANCE * info.width_px * size[1]:
+        sizes = f"The {name} images are {size[0]} x {size[1]}, camera_info is for {meant[0]} x {meant[1]}{part}"
+        if info.is_part or abs(meant[0] * size[1] - meant[1] * size[0]) > SHAPE_TOLERANCE * meant[0] * size[1]:
             sentence = (
                 f"{sizes}: another shape, so one of them is cropped and no frame will be used. "
                 "Take camera_info and images from the same stream."
@@ -75,16 +80,10 @@ def _check_sizes(info, depth_size_px, color_size_px):
             findings.append(Finding("size_shape", Level.ERROR, sentence))
         else:
             sentence = (
-                f"{sizes}: the intrinsics are scaled by {size[0] / info.width_px:.3g}, which is right if the whole "
+                f"{sizes}: the intrinsics are scaled by {size[0] / meant[0]:.3g}, which is right if the whole "
                 "image was resized."
             )
             findings.append(Finding("size_scaled", Level.NOTE, sentence))
-    if info.binning[0] > 1 or info.binning[1] > 1 or info.roi[0] or info.roi[1]:
-        sentence = (
-            f"camera_info tells of binning {info.binning[0]} x {info.binning[1]} and a region of interest at "
-            f"({info.roi[0]}, {info.roi[1]}), which semantic_map refuses. Publish the whole image."
-        )
-        findings.append(Finding("size_roi", Level.ERROR, sentence))
     return findings
 
 
@@ -140,8 +139,8 @@ def _check_distortion(info):
     else:
         words += f" (coefficients {', '.join(f'{d:.3g}' for d in info.D)})"
     sentence = (
-        f"{words}, and semantic_map refuses such images. Rectify colour and depth (image_proc) and use their "
-        "camera_info, or set its ignore_distortion if the images are rectified already."
+        f"{words}, and semantic_map refuses such images unless it is told what they are: set its parameter rectify if "
+        "they are raw, or ignore_distortion if they are rectified already; otherwise rectify them (image_proc)."
     )
     return [Finding("distortion", Level.WARNING, sentence)]
 

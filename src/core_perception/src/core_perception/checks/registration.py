@@ -11,6 +11,7 @@ import numpy as np
 
 from core_perception.checks.base import CheckFrame, Finding, Level, Outcome
 
+PICTURES = {"colour": "colour images", "labels": "label images"}
 MAX_FRAMES = 10
 MAX_WIDTH_PX = 640  # larger images are looked at in this size
 SEARCH = 0.06  # of the width: the largest shift that is looked for
@@ -22,6 +23,12 @@ LARGEST_SPREAD_PX = 6.0  # between the shifts of the left and the right half
 LEAST_SHARE = 0.3  # of pixels that hold a distance
 SCALE_STEP, SCALE_STEPS = 1.04, 12  # factors that are tried: 0.62 to 1.6
 SCALE_WIDTH_PX, SCALE_FRAMES = 320, 3
+MIRROR_RATIO = 1.15  # of the height of the peaks with and without mirroring
+MIRRORINGS = {
+    "left to right": (1, -1),
+    "upside down": (-1, 1),
+    "by half a turn": (-1, -1),
+}  # steps through the rows, columns
 
 
 @dataclass(frozen=True)
@@ -32,11 +39,28 @@ class Shift:
         dx_px: to the right [px].
         dy_px: down [px].
         significance: of the peak; see LEAST_SIGNIFICANCE.
+        height: of the peak over all shifts, as a share of the steps in depth.
     """
 
     dx_px: int
     dy_px: int
     significance: float
+    height: float
+
+
+@dataclass(frozen=True)
+class Mirroring:
+    """How a picture is mirrored.
+
+    Attributes:
+        how: in words.
+        height: of the peak when it is mirrored back; see Shift.
+        own_height: of the peak as it is; 0 for none.
+    """
+
+    how: str
+    height: float
+    own_height: float
 
 
 def check_registration(frames: Sequence[CheckFrame], against: str, largest_shift_px: float = 3.0) -> Outcome:
@@ -58,6 +82,9 @@ def check_registration(frames: Sequence[CheckFrame], against: str, largest_shift
     edges = [_edges(fit_sizes(*pair, MAX_WIDTH_PX)) for pair in pairs]
     scale = frames[0].depth.shape[1] / edges[0][0].shape[2]
     whole = find_shift(edges, largest_shift_px)
+    mirroring = find_mirroring(pairs)
+    if mirroring is not None:
+        return Outcome(check, (_say_mirrored(against, mirroring),), f"turned {mirroring.how}")
     if whole is None:
         factor = find_scale(pairs)
         if factor is None:
@@ -71,6 +98,32 @@ def check_registration(frames: Sequence[CheckFrame], against: str, largest_shift
         factor = 1.0 + (halves[1].dx_px - halves[0].dx_px) / (0.5 * edges[0][0].shape[2])
         return Outcome(check, (_say_scale(against, factor),), f"scaled by {factor:.2f}")
     return Outcome(check, (), f"edges meet within {largest_shift_px * scale:.0f} px")
+
+
+def find_mirroring(pairs: Sequence[Tuple[np.ndarray, np.ndarray]]) -> Optional[Mirroring]:
+    """Return how the picture is mirrored against depth; None if it is not, or if that cannot be told.
+
+    A scene that is nearly alike on both sides has edges at the right places in a mirrored picture too: it is mirrored
+    if clearly more of them meet when it is mirrored back.
+
+    Args:
+        pairs: depth [m] and picture of each frame.
+    """
+
+    def find(row_step, column_step):
+        # Turned before it is made smaller: nearest pixels are not the same from the other side.
+        turned = [(depth_m, picture[::row_step, ::column_step]) for depth_m, picture in pairs[:SCALE_FRAMES]]
+        fitted = [fit_sizes(depth_m, np.ascontiguousarray(picture), SCALE_WIDTH_PX) for depth_m, picture in turned]
+        return find_shift([_edges(pair) for pair in fitted], 1.0)
+
+    own = find(1, 1)
+    own_height = own.height if own is not None else 0.0
+    best, least = None, MIRROR_RATIO * own_height
+    for words, steps in MIRRORINGS.items():
+        shift = find(*steps)
+        if shift is not None and shift.height > least:
+            best, least = Mirroring(words, shift.height, own_height), shift.height
+    return best
 
 
 def find_scale(pairs: Sequence[Tuple[np.ndarray, np.ndarray]]) -> Optional[float]:
@@ -101,12 +154,21 @@ def _edges(pair) -> Tuple[np.ndarray, np.ndarray]:
     return depth_edges(pair[0]), picture_edges(pair[1])
 
 
+def _say_mirrored(against, mirroring) -> Finding:
+    sentence = (
+        f"The {PICTURES[against]} are turned {mirroring.how} against depth: turned back, {mirroring.height:.0%} of the "
+        f"steps in depth meet their edges, and {mirroring.own_height:.0%} as they are. "
+        "Check the flip and rotate settings of the camera's driver and of the node that makes these images."
+    )
+    return Finding("registration_mirrored", Level.WARNING, sentence)
+
+
 def _say_shift(against, dx, dy) -> Finding:
     where = [f"{abs(dx)} px to the {'right' if dx > 0 else 'left'}"] if dx else []
     where += [f"{abs(dy)} px {'down' if dy > 0 else 'up'}"] if dy else []
     sentence = (
-        f"Edges in the {against} images lie {' and '.join(where)} of those in depth, so regions land beside the things "
-        "they belong to. Use depth that is registered to the colour camera (such as aligned_depth_to_color or "
+        f"Edges in the {PICTURES[against]} lie {' and '.join(where)} of those in depth, so regions land beside the "
+        "things they belong to. Use depth that is registered to the colour camera (such as aligned_depth_to_color or "
         "depth_registered), check the extrinsics it uses, and that both images are of one instant."
     )
     return Finding("registration_shift", Level.WARNING, sentence)
@@ -114,8 +176,8 @@ def _say_shift(against, dx, dy) -> Finding:
 
 def _say_scale(against, factor) -> Finding:
     sentence = (
-        f"Things in the {against} images are {factor:.2f} times as large as in depth: the two have different fields of "
-        "view. Use depth that is registered to the colour camera (such as aligned_depth_to_color or depth_registered)."
+        f"Things in the {PICTURES[against]} are {factor:.2f} times as large as in depth: the two have different fields "
+        "of view. Use depth that is registered to the colour camera (such as aligned_depth_to_color, depth_registered)."
     )
     return Finding("registration_scale", Level.WARNING, sentence)
 
@@ -204,12 +266,12 @@ def find_shift(edges: Sequence[Tuple[np.ndarray, np.ndarray]], free_px: float) -
     y, x = np.mgrid[-radius : radius + 1, -radius : radius + 1]
     good, best = (surface >= base + part * (peak - base) for part in (SAME, NEARLY_BEST))
     if np.hypot(x, y)[good].min() <= free_px:
-        return Shift(0, 0, significance)
+        return Shift(0, 0, significance, peak - base)
     # Along long straight edges many shifts are as good: the smallest is told.
     row, column = np.unravel_index(int(np.argmin(np.where(best, np.hypot(x, y), np.inf))), surface.shape)
     if good[row, 2 * radius - column] and abs(x[row, column]) > 1 or good[2 * radius - row, 2 * radius - column]:
-        return Shift(0, 0, significance)
-    return Shift(int(x[row, column]), int(y[row, column]), significance)
+        return Shift(0, 0, significance, peak - base)
+    return Shift(int(x[row, column]), int(y[row, column]), significance, peak - base)
 
 
 def _correlate(steps, changes, radius) -> np.ndarray:

@@ -10,12 +10,12 @@ import time
 from dataclasses import replace
 from typing import Any, Mapping, Optional
 
-import cv2
 import numpy as np
 
 from core_perception.endpoint import Endpoint
-from core_perception.exceptions import EndpointError, EvidenceError, ServerError
-from core_perception.http_exchange import HttpExchange, HttpRequest
+from core_perception.exceptions import EndpointError, ServerError
+from core_perception.http_exchange import HttpRequest, OneExchange
+from core_perception.picture_file import write_picture
 from core_perception.reasoners.ollama_models import MAX_SURVEY_BYTES, is_passed_on
 from core_perception.reasoners.wire import ModelReply, Question
 
@@ -46,7 +46,6 @@ SERVER_CAUSES = (
 )
 #: After these the model is held to be loaded still.
 CAUSES_OF_A_LOADED_MODEL = frozenset({"length", "unfinished", "image_refused", "context"})
-JPEG_QUALITY = 90
 PROBE_LIMIT_S = 2.0
 
 
@@ -83,9 +82,7 @@ class VlmClient:
         self._deadline_s, self._load_timeout_s = deadline_s, load_timeout_s
         self._max_reply_bytes, self._max_image_px = max_reply_bytes, max_image_px
         self._turn = threading.Lock()  # held while a request is in flight
-        self._lock = threading.Lock()  # of the next two
-        self._exchange: Optional[HttpExchange] = None
-        self._is_closed = False
+        self._exchange = OneExchange(endpoint)
         self._is_loaded = False
         self._is_known_local = endpoint.allow_remote_images
 
@@ -118,7 +115,7 @@ class VlmClient:
             EvidenceError: the image has another shape or type.
         """
         with self._in_turn(self._deadline_s) as deadline_s:
-            image = None if image_rgb is None else encode_image(image_rgb, self._max_image_px)
+            image = None if image_rgb is None else write_picture(image_rgb, self._max_image_px)[0]
             if image is not None and not self._is_known_local:
                 self._find_out_whereabouts(deadline_s)
             request = self._wire.chat(Question(system, user, image, schema, seed, temperature))
@@ -154,11 +151,7 @@ class VlmClient:
 
     def close(self) -> None:
         """End a request under way at once; every later one fails."""
-        with self._lock:
-            self._is_closed = True
-            exchange = self._exchange
-        if exchange is not None:
-            exchange.abort(ServerError("closed", "this client was closed"))
+        self._exchange.close()
 
     @contextlib.contextmanager
     def _in_turn(self, limit_s: float):
@@ -178,16 +171,7 @@ class VlmClient:
             self._turn.release()
 
     def _run(self, request: HttpRequest, deadline_s: float, max_reply_bytes: Optional[int] = None):
-        exchange = HttpExchange(self._endpoint, request, max_reply_bytes or self._max_reply_bytes)
-        with self._lock:
-            if self._is_closed:
-                raise ServerError("closed", "this client was closed")
-            self._exchange = exchange
-        try:
-            return exchange.run(deadline_s - time.monotonic())
-        finally:
-            with self._lock:
-                self._exchange = None
+        return self._exchange.run(request, deadline_s, max_reply_bytes or self._max_reply_bytes)
 
     def _find_out_whereabouts(self, deadline_s: float):
         request = self._wire.whereabouts()
@@ -225,25 +209,3 @@ class BackOff:
     def succeeded(self) -> None:
         """Forget the failures."""
         self._ceiling_s = self._first_s
-
-
-def encode_image(image_rgb: np.ndarray, max_image_px: int) -> bytes:
-    """Write an image as JPEG of quality 90.
-
-    Args:
-        image_rgb: (h, w, 3) uint8.
-        max_image_px: longest edge; a larger image is scaled down by averaging.
-
-    Raises:
-        EvidenceError: the image has another shape or type, or no pixel.
-    """
-    image = np.asarray(image_rgb)
-    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
-        raise EvidenceError(f"an image is (h, w, 3) uint8, not {image.shape} {image.dtype}")
-    height_px, width_px = image.shape[:2]
-    scale = max_image_px / max(height_px, width_px)
-    if scale < 1.0:
-        size = (max(1, round(width_px * scale)), max(1, round(height_px * scale)))
-        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    bgr = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2BGR)
-    return cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()

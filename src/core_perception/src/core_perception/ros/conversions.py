@@ -10,8 +10,10 @@ import numpy as np
 import rospy
 from core_msgs.msg import LabelClass, LabelInfo, SafetyConstraints
 from core_msgs.msg import Predicate as PredicateMsg
+from sensor_msgs.msg import CameraInfo as CameraInfoMsg
 from sensor_msgs.msg import Image
 
+from core_perception.checks.base import CameraInfo
 from core_perception.exceptions import EvidenceError, PredicateError
 from core_perception.overlay import GridView
 from core_perception.predicates import Constraints, Operator, Predicate, Severity, Verdict, canonical_class_name
@@ -239,3 +241,10 @@ def transform_to_matrix(transform) -> np.ndarray:
     ]
     matrix[:3, 3] = [t.x, t.y, t.z]
     return matrix
+
+
+def camera_info_from_msg(msg: CameraInfoMsg) -> CameraInfo:
+    """Message -> library type."""
+    roi = (msg.roi.x_offset, msg.roi.y_offset, msg.roi.width, msg.roi.height)
+    binning = (msg.binning_x, msg.binning_y)
+    return CameraInfo(msg.width, msg.height, tuple(msg.K), tuple(msg.D), msg.distortion_model, binning, roi)

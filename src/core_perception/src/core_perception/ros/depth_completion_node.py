@@ -10,7 +10,7 @@ from collections import Counter
 
 import numpy as np
 import rospy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CameraInfo, Image
 
 from core_perception.depth_completion import (
@@ -26,6 +26,7 @@ from core_perception.exceptions import EvidenceError, PerceptionError
 from core_perception.frame_line import FrameLine
 from core_perception.reasoners.vlm_client import BackOff
 from core_perception.ros import conversions
+from core_perception.ros.diagnostics import Diagnostics, make_status
 from core_perception.ros.node import run_node
 from core_perception.scale_fit import Prediction
 from core_perception.sidecar_client import SidecarClient, find_endpoint
@@ -33,7 +34,6 @@ from core_perception.sidecar_client import SidecarClient, find_endpoint
 QUEUE_SIZE = 20
 IMAGE_BUFFER_BYTES = 2**25
 POLL_PERIOD_S = 0.02  # a frame that waits in vain is noticed after that
-DIAGNOSTICS_PERIOD_S = 1.0
 
 
 class DepthCompletionNode:
@@ -64,15 +64,14 @@ class DepthCompletionNode:
             rospy.on_shutdown(self._client.close)
             rospy.loginfo("depth_completion: asks %s", endpoint.url)
         self._publisher = rospy.Publisher("camera/depth_completed/image_raw", Image, queue_size=QUEUE_SIZE)
-        self._diagnostics = rospy.Publisher("diagnostics", DiagnosticArray, queue_size=1)
         self._subscribe("camera/depth/image_raw", Image, self._on_depth)
         if params.backend == "remote":
             self._subscribe("camera/color/image_raw", Image, self._on_partner)
             self._subscribe("camera/color/camera_info", CameraInfo, self._on_camera_info)
         elif params.backend == "topic":
             self._subscribe("depth_prediction/image_raw", Image, self._on_partner)
-        for work in (self._work, self._tell):
-            threading.Thread(target=work, daemon=True).start()
+        threading.Thread(target=self._work, daemon=True).start()
+        Diagnostics(self._tell).start()
 
     @staticmethod
     def _subscribe(topic, message_type, callback):
@@ -180,20 +179,12 @@ class DepthCompletionNode:
             self._last = (completion, answer, time.monotonic())
 
     def _tell(self):
-        """Publish diagnostics on the wall clock, which goes on when sim time stands still."""
-        while not rospy.is_shutdown():
-            with self._changed:
-                last, counts = self._last, dict(self._counts)
-            array = DiagnosticArray(status=[make_status(self._params.backend, last, counts)])
-            array.header.stamp = rospy.Time.now()
-            try:
-                self._diagnostics.publish(array)
-            except rospy.ROSException:  # topics close while the node shuts down
-                return
-            time.sleep(DIAGNOSTICS_PERIOD_S)
+        with self._changed:
+            last, counts = self._last, dict(self._counts)
+        return [describe(self._params.backend, last, counts)]
 
 
-def make_status(backend: str, last, counts) -> DiagnosticStatus:
+def describe(backend: str, last, counts) -> DiagnosticStatus:
     """Say what became of the last frame: OK when filled or with no back end, else WARN; what is off, in the message.
 
     Args:
@@ -201,23 +192,22 @@ def make_status(backend: str, last, counts) -> DiagnosticStatus:
         last: (Completion, DepthAnswer or None, monotonic time [s]) of the last frame; None before the first.
         counts: how often what happened.
     """
-    status = DiagnosticStatus(DiagnosticStatus.OK, f"{rospy.get_name().lstrip('/')}: depth completion", "", backend, [])
+    level, message = DiagnosticStatus.OK, ""
     values = {"backend": backend, **{name: str(count) for name, count in sorted(counts.items())}}
     if last is None:
-        status.level, status.message = DiagnosticStatus.WARN, "no depth image yet"
+        level, message = DiagnosticStatus.WARN, "no depth image yet"
     else:
         completion, answer, _ = last
-        status.message = completion.outcome.value + (f": {completion.reason}" if completion.reason else "")
+        message = completion.outcome.value + (f": {completion.reason}" if completion.reason else "")
         if completion.outcome is not Outcome.FILLED and backend != "none":
-            status.level = DiagnosticStatus.WARN
+            level = DiagnosticStatus.WARN
         if answer is not None:
             values["model"] = answer.model
             note = _doubt(completion, answer)
             if note:
-                status.level, status.message = DiagnosticStatus.WARN, f"{status.message}; {note}"
+                level, message = DiagnosticStatus.WARN, f"{message}; {note}"
         values.update(_figures(completion))
-    status.values = [KeyValue(key, value) for key, value in values.items()]
-    return status
+    return make_status("depth completion", level, message, values, backend)
 
 
 def _doubt(completion: Completion, answer: DepthAnswer) -> str:

@@ -4,14 +4,15 @@
 from __future__ import annotations
 
 import rospy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 
 from core_perception.asking import Findings
+from core_perception.ros.diagnostics import make_status
 
 FAILURES_WORTH_A_WARNING = 3
 
 
-def make_diagnostics(findings: Findings, description: str, rule_count: int) -> DiagnosticArray:
+def describe(findings: Findings, description: str, rule_count: int) -> DiagnosticStatus:
     """Compose one status: OK, WARN after failures in a row, ERROR while nothing has been answered.
 
     Args:
@@ -40,8 +41,4 @@ def make_diagnostics(findings: Findings, description: str, rule_count: int) -> D
         "failures_in_row": str(findings.failures_in_row),
         **{name: str(count) for name, count in sorted(findings.counts.items())},
     }
-    name = f"{rospy.get_name().lstrip('/')}: contextual reasoning"
-    status = DiagnosticStatus(level, name, message, "", [KeyValue(key, value) for key, value in values.items()])
-    array = DiagnosticArray(status=[status])
-    array.header.stamp = now
-    return array
+    return make_status("contextual reasoning", level, message, values)

@@ -4,11 +4,9 @@
 from __future__ import annotations
 
 import threading
-import time
 
 import rospy
 from core_msgs.msg import InstanceArray, LabelInfo, SafetyConstraints, Tick
-from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger, TriggerResponse
 
@@ -21,9 +19,10 @@ from core_perception.reasoners.base import Evidence
 from core_perception.reasoners.factory import ReasonerParts, make_reasoner
 from core_perception.release import ReleaseSchedule
 from core_perception.ros import conversions
+from core_perception.ros.diagnostics import Diagnostics, run_every
 from core_perception.ros.node import config_dir, run_node
 from core_perception.ros.operator_services import OperatorServices
-from core_perception.ros.reasoner_diagnostics import make_diagnostics
+from core_perception.ros.reasoner_diagnostics import describe
 from core_perception.stamped_join import StampedJoin
 
 QUEUE_SIZE = 50
@@ -32,7 +31,6 @@ IMAGES_WAITING = 20
 IMAGE_BUFFER_BYTES = 2**24
 # How often a slow reasoner is looked at in a lock-step world [s], wall time.
 POLL_PERIOD_S = 0.02
-DIAGNOSTICS_PERIOD_S = 1.0
 WARNING_PERIOD_S = 10.0
 
 
@@ -63,11 +61,10 @@ class SafetyReasonerNode:
         self._schedule = make_schedule(params, parts, self._findings) if params.lockstep else None
         self._newest = None if params.lockstep else make_newest(parts, self._findings)
         self._publisher = rospy.Publisher("safety/constraints", SafetyConstraints, queue_size=QUEUE_SIZE, latch=True)
-        self._diagnostics = rospy.Publisher("diagnostics", DiagnosticArray, queue_size=1)
         rospy.Service("~reset_context", Trigger, self._on_reset_context)
         rospy.on_shutdown(reasoner.close)
         self._connect()
-        self._run_every(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics)
+        Diagnostics(self._tell).start()
 
     def _connect(self):
         if self._reasoner.reads_evidence:
@@ -80,28 +77,13 @@ class SafetyReasonerNode:
             return
         self._subscribe("lockstep/tick", Tick, self._on_tick)
         if self._reasoner.is_slow:
-            self._run_every(POLL_PERIOD_S, self._poll)
+            run_every(POLL_PERIOD_S, self._poll)
 
     @staticmethod
     def _subscribe(topic, message_type, callback):
         rospy.Subscriber(
             topic, message_type, callback, queue_size=QUEUE_SIZE, buff_size=IMAGE_BUFFER_BYTES, tcp_nodelay=True
         )
-
-    @staticmethod
-    def _run_every(period_s, work):
-        """Call work on the wall clock, which goes on when sim time stands still."""
-
-        def run():
-            while not rospy.is_shutdown():
-                try:
-                    work()
-                except rospy.ROSException:  # topics close while the node shuts down
-                    if not rospy.is_shutdown():
-                        raise
-                time.sleep(period_s)
-
-        threading.Thread(target=run, daemon=True).start()
 
     def _on_label_info(self, msg):
         self._add("classes", msg, conversions.classes_seen(msg))
@@ -154,8 +136,12 @@ class SafetyReasonerNode:
 
     def _on_timer(self, _event):
         now_ns = conversions.stamp_to_ns(rospy.Time.now())
-        with self._lock:
-            self._publish(self._newest.at(now_ns), now_ns)
+        try:
+            with self._lock:
+                self._publish(self._newest.at(now_ns), now_ns)
+        except rospy.ROSException:  # topics close while the node shuts down
+            if not rospy.is_shutdown():
+                raise
 
     def _publish(self, constraints, stamp_ns):
         self._publisher.publish(conversions.constraints_to_msg(self._rules.merge(constraints, stamp_ns), stamp_ns))
@@ -166,13 +152,13 @@ class SafetyReasonerNode:
         message = "every answer so far is forgotten, the operator's rules stay; the robot stops until the next answer"
         return TriggerResponse(success=True, message=message)
 
-    def _publish_diagnostics(self):
+    def _tell(self):
         with self._lock:
-            array = make_diagnostics(self._findings, self._description, self._rules.count())
+            status = describe(self._findings, self._description, self._rules.count())
             failure = self._findings.last_failure if self._findings.failures_in_row else ""
-        self._diagnostics.publish(array)
         if failure:
             rospy.logwarn_throttle(WARNING_PERIOD_S, f"safety_reasoner: no valid answer: {failure}")
+        return [status]
 
 
 def make_schedule(params: ReasonerParams, parts: ReasonerParts, findings: Findings):

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Node segmenter: image and asked classes -> ``segmentation/labels``, ``segmentation/label_info``.
-
-The simulated segmenter reads ``ground_truth/*``; no other node of this package may.
-"""
+"""Node segmenter: image and asked classes -> ``segmentation/labels``, ``segmentation/label_info``."""
 
 from __future__ import annotations
 
@@ -11,15 +8,16 @@ import time
 
 import rospy
 from core_msgs.msg import LabelInfo, SafetyConstraints
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import Image
 
 from core_perception.exceptions import EvidenceError, PerceptionError
 from core_perception.newest_frame import NewestFrame
 from core_perception.params import SegmenterParams
 from core_perception.ros import conversions
+from core_perception.ros.diagnostics import Diagnostics, make_status
 from core_perception.ros.node import config_dir, run_node
 from core_perception.ros.segmenter_conversions import segmenter_frame
+from core_perception.ros.truth_topics import TRUTH_TOPICS
 from core_perception.segmenters.base import IMAGE, LABEL_INFO, LABELS, check_segmentation
 from core_perception.segmenters.factory import make_segmenter
 from core_perception.segmenters.tally import Tally
@@ -27,11 +25,15 @@ from core_perception.stamped_join import StampedJoin
 
 QUEUE_SIZE = 10
 IMAGE_BUFFER_BYTES = 2**24
-DIAGNOSTICS_PERIOD_S = 1.0
 WARNING_PERIOD_S = 10.0
 # How often sim time is looked at while an answer is held back [s], wall time.
 POLL_PERIOD_S = 0.002
 CONSTRAINTS = "constraints"
+TOPICS = {
+    IMAGE: "camera/color/image_raw",
+    LABELS: "external_segmentation/labels",
+    LABEL_INFO: "external_segmentation/label_info",
+}
 MESSAGES = {IMAGE: Image, LABELS: Image, LABEL_INFO: LabelInfo}
 
 
@@ -60,20 +62,15 @@ class SegmenterNode:
         self._info_publisher = rospy.Publisher(
             "segmentation/label_info", LabelInfo, queue_size=QUEUE_SIZE, latch=params.lockstep
         )
-        self._diagnostics = rospy.Publisher("diagnostics", DiagnosticArray, queue_size=1)
         if self._segmenter.is_slow:
             threading.Thread(target=self._work, name="segmenter", daemon=True).start()
-        threading.Thread(target=self._report, name="diagnostics", daemon=True).start()
         rospy.on_shutdown(self._close)
+        topics = {**TOPICS, **(TRUTH_TOPICS if self._segmenter.reads_truth else {})}
+        self._sources = ", ".join(rospy.resolve_name(topics[stream]) for stream in streams)
         for stream in streams:
-            self._subscribe(self._topic(stream), MESSAGES[stream], self._on(stream))
+            self._subscribe(topics[stream], MESSAGES[stream], self._on(stream))
         self._subscribe("safety/constraints", SafetyConstraints, self._on_constraints)
-
-    def _topic(self, stream):
-        if stream == IMAGE:
-            return "camera/color/image_raw"
-        folder = "ground_truth" if self._segmenter.reads_truth else "external_segmentation"
-        return f"{folder}/{stream}"
+        Diagnostics(self._report).start()
 
     def _subscribe(self, topic, message_type, callback):
         # Without lock-step only the newest image counts: a slow segmenter skips frames instead of falling behind.
@@ -152,20 +149,10 @@ class SegmenterNode:
         return False
 
     def _report(self):
-        """Tell how it goes, on the wall clock, which goes on when sim time stands still."""
-        while not rospy.is_shutdown():
-            with self._lock:
-                level, message, values = self._tally.report(self._segmenter.warning)
-            name = f"{rospy.get_name().lstrip('/')}: segmentation"
-            pairs = [KeyValue(key, value) for key, value in values.items()]
-            array = DiagnosticArray(status=[DiagnosticStatus(level, name, message, "", pairs)])
-            array.header.stamp = rospy.Time.now()
-            try:
-                self._diagnostics.publish(array)
-            except rospy.ROSException:  # topics close while the node shuts down
-                if not rospy.is_shutdown():
-                    raise
-            time.sleep(DIAGNOSTICS_PERIOD_S)
+        with self._lock:
+            missing = self._join.missing and f"{self._join.missing} (of {self._sources})"
+            level, message, values = self._tally.report(self._segmenter.warning, missing)
+        return [make_status("segmentation", level, message, values)]
 
 
 def main() -> int:

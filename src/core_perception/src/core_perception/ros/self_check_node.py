@@ -10,14 +10,14 @@ from typing import List, Optional
 import numpy as np
 import rospy
 import tf2_ros
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from sensor_msgs.msg import CameraInfo as CameraInfoMsg
-from sensor_msgs.msg import Image
+from diagnostic_msgs.msg import DiagnosticStatus
+from sensor_msgs.msg import CameraInfo, Image
 
-from core_perception.checks.base import CameraInfo, CheckFrame, Level, Outcome, PoseLookups, Stream
+from core_perception.checks.base import CheckFrame, Level, Outcome, PoseLookups, Stream
 from core_perception.depth_params import SelfCheckParams
 from core_perception.exceptions import EvidenceError
 from core_perception.ros import conversions
+from core_perception.ros.diagnostics import Diagnostics, make_status
 from core_perception.ros.node import run_node
 from core_perception.self_check import Report, Sample, check
 
@@ -27,10 +27,10 @@ TOPICS = {
     "color": "camera/color/image_raw",
     "labels": "segmentation/labels",
 }
+CHECK = "self-check"
 INFO_TOPIC = "camera/color/camera_info"
 KEPT_FACTOR = 3  # of colour images and labels for each depth image, which may come at other rates
 POLL_PERIOD_S = 0.05
-DIAGNOSTICS_PERIOD_S = 1.0
 TF_CACHE_S = 60.0
 NEAR_S = 0.1  # farther apart, two images show different instants
 DIAGNOSTIC_LEVELS = {
@@ -48,10 +48,10 @@ class Collector:
         self._frames = frames
         self._lock = threading.Lock()
         self._messages = {name: [] for name in TOPICS}  # (message, received_s)
-        self._info: Optional[CameraInfoMsg] = None
+        self._info: Optional[CameraInfo] = None
         kinds = {"queue_size": 30, "buff_size": IMAGE_BUFFER_BYTES, "tcp_nodelay": True}
         self._subscribers = [rospy.Subscriber(t, Image, self._on_image, name, **kinds) for name, t in TOPICS.items()]
-        self._subscribers.append(rospy.Subscriber(INFO_TOPIC, CameraInfoMsg, self._on_info, queue_size=1))
+        self._subscribers.append(rospy.Subscriber(INFO_TOPIC, CameraInfo, self._on_info, queue_size=1))
 
     def _on_image(self, msg, name):
         received_s = rospy.Time.now().to_sec()
@@ -88,9 +88,9 @@ class SelfCheckNode:
         self._report: Optional[Report] = None
         self._tf_buffer = tf2_ros.Buffer(rospy.Duration(TF_CACHE_S))
         self._tf_listener = tf2_ros.TransformListener(self._tf_buffer)
-        self._diagnostics = rospy.Publisher("diagnostics", DiagnosticArray, queue_size=1)
-        for work in (self._work, self._tell):
-            threading.Thread(target=work, daemon=True).start()
+        self._diagnostics = Diagnostics(self._tell)
+        self._diagnostics.start()
+        threading.Thread(target=self._work, daemon=True).start()
 
     def _work(self):
         while not rospy.is_shutdown():
@@ -105,7 +105,7 @@ class SelfCheckNode:
             log_report(self._report)
             self.exit_status = 0 if self._report.is_healthy else 1
             if self._params.exit_when_done:
-                self._publish()
+                self._diagnostics.publish()
                 rospy.signal_shutdown("the self-check is done")
             if self._params.repeat_s == 0.0:
                 return
@@ -126,7 +126,7 @@ class SelfCheckNode:
         topics = [topic for topic, kind in rospy.get_published_topics() if kind == "sensor_msgs/Image"]
         return Sample(
             frames,
-            None if info is None else camera_info_from_msg(info),
+            None if info is None else conversions.camera_info_from_msg(info),
             streams["depth"],
             streams["color"],
             lookups,
@@ -171,22 +171,9 @@ class SelfCheckNode:
         return CheckFrame(depth, color, labels, pose)
 
     def _tell(self):
-        while not rospy.is_shutdown():
-            try:
-                self._publish()
-            except rospy.ROSException:  # topics close while the node shuts down
-                return
-            time.sleep(DIAGNOSTICS_PERIOD_S)
-
-    def _publish(self):
-        name = f"{rospy.get_name().lstrip('/')}: self-check"
         if self._report is None:
-            statuses = [DiagnosticStatus(DiagnosticStatus.OK, name, "waiting for images", "", [])]
-        else:
-            statuses = make_statuses(self._report, name)
-        array = DiagnosticArray(status=statuses)
-        array.header.stamp = rospy.Time.now()
-        self._diagnostics.publish(array)
+            return [make_status(CHECK, DiagnosticStatus.OK, "waiting for images", {})]
+        return make_statuses(self._report)
 
 
 def read_image(read, msg, what, unreadable):
@@ -212,13 +199,6 @@ def make_stream(topic, messages) -> Stream:
     return Stream(topic, frame_id, stamps_s, [received_s for _, received_s in messages])
 
 
-def camera_info_from_msg(msg: CameraInfoMsg) -> CameraInfo:
-    """Message -> library type."""
-    roi = (msg.roi.x_offset, msg.roi.y_offset, msg.roi.width, msg.roi.height)
-    binning = (msg.binning_x, msg.binning_y)
-    return CameraInfo(msg.width, msg.height, tuple(msg.K), tuple(msg.D), msg.distortion_model, binning, roi)
-
-
 def log_report(report: Report) -> None:
     """One line a finding, and one for the whole."""
     log = {Level.NOTE: rospy.loginfo, Level.WARNING: rospy.logwarn, Level.ERROR: rospy.logerr}
@@ -232,19 +212,19 @@ def log_report(report: Report) -> None:
     (rospy.loginfo if report.is_healthy else rospy.logwarn)("self_check: %s", report.summary)
 
 
-def make_statuses(report: Report, name: str) -> List[DiagnosticStatus]:
+def make_statuses(report: Report) -> List[DiagnosticStatus]:
     """One status for the whole and one for each part."""
     worst = max((finding.level for finding in report.findings), default=Level.NOTE)
-    whole = DiagnosticStatus(DIAGNOSTIC_LEVELS[worst], name, report.summary, "", [])
-    return [whole, *(make_status(outcome, name) for outcome in report.outcomes)]
+    whole = make_status(CHECK, DIAGNOSTIC_LEVELS[worst], report.summary, {})
+    return [whole, *(describe_outcome(outcome) for outcome in report.outcomes)]
 
 
-def make_status(outcome: Outcome, name: str) -> DiagnosticStatus:
+def describe_outcome(outcome: Outcome) -> DiagnosticStatus:
     """The sentences of one part, or what it measured, or why it could not look."""
     worst = max((finding.level for finding in outcome.findings), default=Level.NOTE)
     words = " ".join(finding.sentence for finding in outcome.findings)
     words = words or outcome.measured or f"not checked: {outcome.unchecked}"
-    return DiagnosticStatus(DIAGNOSTIC_LEVELS[worst], f"{name}: {outcome.check}", words, "", [])
+    return make_status(f"{CHECK}: {outcome.check}", DIAGNOSTIC_LEVELS[worst], words, {})
 
 
 def main() -> int:

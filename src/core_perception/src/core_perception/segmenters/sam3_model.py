@@ -14,7 +14,8 @@ import tempfile
 from pathlib import Path
 from typing import Any, Callable, Dict, List, Sequence, Tuple
 
-from core_perception.segmenters.sidecar_server import BadRequestError, Found, SegmentRequest, SidecarModel
+from core_perception.json_server import BadRequestError
+from core_perception.segmenters.sidecar_server import Found, SegmentRequest, SidecarModel
 
 MASK_THRESHOLD = 0.5
 MAX_TEXTS_KEPT = 2000

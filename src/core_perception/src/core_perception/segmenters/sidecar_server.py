@@ -9,26 +9,21 @@ from __future__ import annotations
 import abc
 import base64
 import binascii
-import json
 import math
-import threading
 import time
 from dataclasses import dataclass
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 
 import numpy as np
 
 from core_perception.exceptions import PredicateError
+from core_perception.json_server import CONTRACT_VERSION, BadRequestError, JsonServer
 from core_perception.predicates import canonical_class_name
 from core_perception.segmenters.rle import encode_mask
 
-CONTRACT_VERSION = 1
-MAX_REQUEST_BYTES = 1 << 25
 MAX_EDGE_PX = 8192
 MAX_CLASSES = 1000
 MAX_DEADLINE_S = 600.0
-SOCKET_TIMEOUT_S = 30.0
 
 
 @dataclass(frozen=True)
@@ -88,42 +83,27 @@ class SidecarModel(abc.ABC):
         """
 
 
-class BadRequestError(Exception):
-    """A request that breaks the contract."""
-
-
-class SidecarServer:
+class SidecarServer(JsonServer):
     """Serves one model until stop()."""
 
     def __init__(self, model: SidecarModel, host: str = "127.0.0.1", port: int = 0):
-        """Listen.
-
-        Args:
-            model: answers.
-            host: address to listen at; other machines can send images only to one that is not a loopback address.
-            port: 0 for any that is free.
+        """Listen; see JsonServer.
 
         Raises:
             OSError: the address is taken or not of this machine.
         """
-        turn = threading.Lock()
-        handler = type("Handler", (_Handler,), {"sidecar_model": model, "turn": turn})
-        self._server = ThreadingHTTPServer((host, port), handler)
-        self._server.daemon_threads = True
+        capabilities = {
+            "model": model.model,
+            "tasks": ["segment"],
+            "classes": None,
+            "max_classes": model.max_classes or MAX_CLASSES,
+            "random_weights": model.random_weights,
+        }
 
-    @property
-    def port(self) -> int:
-        """Where it listens."""
-        return self._server.server_address[1]
+        def answer(request, begun_s):
+            return _answer(model, request, begun_s)
 
-    def serve(self) -> None:
-        """Answer until stop() is called from another thread."""
-        self._server.serve_forever(poll_interval=0.1)
-
-    def stop(self) -> None:
-        """End serve() and listen no more."""
-        self._server.shutdown()
-        self._server.server_close()
+        super().__init__("/v1/segment", capabilities, read_request, answer, host, port)
 
 
 def read_request(value: Any) -> SegmentRequest:
@@ -170,102 +150,23 @@ class _TimeLeft:
         return now_s + self._longest_s < self._end_s
 
 
-class _Handler(BaseHTTPRequestHandler):
-    sidecar_model: SidecarModel
-    turn: threading.Lock
-    timeout = SOCKET_TIMEOUT_S
-
-    def log_message(self, *_):
-        """Say nothing of every request."""
-
-    def do_GET(self):  # noqa: D102, N802 - named by the library
-        if self.path != "/v1/capabilities":
-            self._fail(404, "not_found", "allowed /v1/capabilities and /v1/segment")
-            return
-        model = self.sidecar_model
-        self._send(
-            200,
-            {
-                "model": model.model,
-                "tasks": ["segment"],
-                "classes": None,
-                "max_classes": model.max_classes or MAX_CLASSES,
-                "random_weights": model.random_weights,
-            },
-        )
-
-    def do_POST(self):  # noqa: D102, N802 - named by the library
-        begun_s = time.monotonic()
-        if self.path != "/v1/segment":
-            self._fail(404, "not_found", "allowed /v1/capabilities and /v1/segment")
-            return
-        # Not asked of a web page: a browser sends it to another origin only after a question that nobody answers here.
-        if self.headers.get_content_type() != "application/json":
-            self._fail(415, "bad_request", "Content-Type: allowed application/json")
-            return
-        length = self.headers.get("Content-Length", "")
-        if not length.isdigit() or int(length) > MAX_REQUEST_BYTES:
-            self._fail(413, "bad_request", f"Content-Length: allowed up to {MAX_REQUEST_BYTES}")
-            return
-        try:
-            request = read_request(json.loads(self.rfile.read(int(length)).decode("utf-8")))
-        except (BadRequestError, ValueError, RecursionError) as error:
-            words = str(error) if isinstance(error, BadRequestError) else "the body: allowed JSON"
-            self._fail(400, "bad_request", words)
-            return
-        if not self.turn.acquire(blocking=False):
-            self._fail(503, "busy", "one request at a time")
-            return
-        try:
-            self._answer(request, begun_s)
-        finally:
-            self.turn.release()
-
-    def _answer(self, request: SegmentRequest, begun_s: float):
-        time_left = _TimeLeft(begun_s + request.deadline_s)
-        try:
-            found, evaluated = self.sidecar_model.segment(request, time_left)
-        except BadRequestError as error:
-            self._fail(400, "bad_request", str(error))
-            return
-        except Exception as error:  # the client must hear of it, and the next request may well succeed
-            out_of_memory = "OutOfMemory" in type(error).__name__ or isinstance(error, MemoryError)
-            self._fail(500, "out_of_memory" if out_of_memory else "internal", type(error).__name__)
-            return
-        instances = [
-            {
-                "class": one.class_name,
-                "score": float(one.score),
-                "mask": {"size": list(request.size_px), "counts": encode_mask(one.mask)},
-            }
-            for one in found
-        ]
-        self._send(
-            200,
-            {
-                "model": self.sidecar_model.model,
-                "stamp": request.stamp,
-                "size": list(request.size_px),
-                "latency_s": time.monotonic() - begun_s,
-                "classes_evaluated": list(evaluated),
-                "instances": instances,
-            },
-        )
-
-    def _fail(self, status, code, message):
-        self.close_connection = True  # the body may not have been read
-        self._send(status, {"error": {"code": code, "message": message}})
-
-    def _send(self, status, value):
-        body = json.dumps({"version": CONTRACT_VERSION, **value}).encode()
-        try:
-            self.send_response(status)
-            self.send_header("Content-Type", "application/json")
-            self.send_header("Content-Length", str(len(body)))
-            self.end_headers()
-            self.wfile.write(body)
-        except OSError:  # the client hung up, at its deadline for example
-            self.close_connection = True
+def _answer(model: SidecarModel, request: SegmentRequest, begun_s: float) -> Dict[str, Any]:
+    found, evaluated = model.segment(request, _TimeLeft(begun_s + request.deadline_s))
+    instances = [
+        {
+            "class": one.class_name,
+            "score": float(one.score),
+            "mask": {"size": list(request.size_px), "counts": encode_mask(one.mask)},
+        }
+        for one in found
+    ]
+    return {
+        "model": model.model,
+        "stamp": request.stamp,
+        "size": list(request.size_px),
+        "classes_evaluated": list(evaluated),
+        "instances": instances,
+    }
 
 
 def _is_class(name) -> bool:

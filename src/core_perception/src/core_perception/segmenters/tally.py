@@ -10,6 +10,7 @@ from core_perception.exceptions import PerceptionError
 from core_perception.segmenters.base import Segmentation, SegmenterFrame
 
 FAILURES_WORTH_A_WARNING = 3
+QUIET_REPORTS = 3
 OK, WARN, ERROR = 0, 1, 2  # as diagnostic_msgs has them
 MOST_NAMES = 20
 
@@ -27,6 +28,7 @@ class Tally:
         self._instances = 0
         self._unknown_unsafe: Tuple[str, ...] = ()
         self._not_evaluated = 0
+        self._told_frames, self._quiet_reports = -1, 0
 
     def answered(self, frame: SegmenterFrame, segmentation: Segmentation) -> None:
         """Count an answer."""
@@ -47,12 +49,16 @@ class Tally:
         """Count a frame that a newer one has overtaken."""
         self._counts["skipped"] += 1
 
-    def report(self, warning: str) -> Tuple[int, str, Dict[str, str]]:
+    def report(self, warning: str, missing: str = "") -> Tuple[int, str, Dict[str, str]]:
         """Return the level of diagnostic_msgs, a line, and key and value of every figure.
 
         Args:
             warning: of the segmenter; empty for none.
+            missing: what a frame waits for, told when none came since the last reports; empty for nothing.
         """
+        frames = sum(self._counts.values())
+        self._quiet_reports = self._quiet_reports + 1 if frames == self._told_frames else 0
+        self._told_frames = frames
         level, message = OK, "answering"
         if warning:
             level, message = WARN, warning
@@ -62,8 +68,11 @@ class Tally:
             message = f"not looked for, or not all shown, though a rule calls it unsafe: {names}"
         if self._failures_in_row >= FAILURES_WORTH_A_WARNING:
             level, message = WARN, f"{self._failures_in_row} frames in a row failed, the last: {self._last_failure}"
+        if self._quiet_reports >= QUIET_REPORTS:
+            level, message = WARN, f"no new frame{f': {missing}' if missing else ''}"
         if not self._counts["answers"]:
-            why = f": {self._last_failure}" if self._last_failure else ""
+            why = self._last_failure or missing
+            why = f": {why}" if why else ""
             level, message = ERROR, f"no frame has been segmented yet{why}"
         values = {
             "segmenter": self.source,

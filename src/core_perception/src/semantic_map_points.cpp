@@ -1,0 +1,180 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// What a SemanticMap takes from the pixels of a frame: votes and points of objects.
+#include <algorithm>
+#include <limits>
+
+#include "core_perception/semantic_map.h"
+
+namespace core_perception {
+namespace {
+
+/// changes[u] = 1 where one of the values differs from that of u - 1, else 0, for u in (first,
+/// end).
+void markChanges(const int32_t* voxels, const uint16_t* labels, const uint8_t* regions,
+                 const Run& pixels, uint8_t* changes) {
+  for (int u = pixels.first + 1; u < pixels.end; ++u) {
+    const bool changed = (voxels[u] != voxels[u - 1]) | (labels[u] != labels[u - 1]) |
+                         (regions[u] != regions[u - 1]);
+    changes[u] = static_cast<uint8_t>(changed);
+  }
+}
+
+}  // namespace
+
+void SemanticMap::collectObjects(const Projection& projection) {
+  constexpr int kEdge_px = 2;  // labels bleed farther than depths mix
+  detector_.start(projection.p_map_camera(), projection.reach_m());
+  const auto slotOf = [this](const LabelRuns::LabelRun& run) {
+    return meanings_[run.label].instance_slot;
+  };
+  const auto mayBeObject = [&slotOf](const LabelRuns::LabelRun& run) { return slotOf(run) >= 0; };
+  for (int v = 0; v < label_runs_.height(); ++v) {
+    const auto *run = label_runs_.begin(v), *end = label_runs_.end(v);
+    run = std::find_if(run, end, mayBeObject);
+    if (run == end) continue;
+    while (!mayBeObject(end[-1])) --end;
+    projectRow(projection, v, {run->first, end[-1].end}, kEdge_px);
+    for (; run != end; ++run) {
+      if (mayBeObject(*run)) addObjectPoints(projection, *run, slotOf(*run));
+    }
+  }
+}
+
+/// Adds the points of row_ with the label of a class that has objects.
+void SemanticMap::addObjectPoints(const Projection& projection, const Run& pixels, int16_t slot) {
+  const float camera_height_m = projection.camera_height_m();
+  const auto min_m = static_cast<float>(params_.range.band_min_z_m) - camera_height_m;
+  const auto max_m = static_cast<float>(params_.range.band_max_z_m) - camera_height_m;
+  const float *depth = row_.depth_m.data(), *dz = row_.dz_m.data();
+  const int end = std::min(pixels.end, row_.end);
+  for (int u = std::max(pixels.first, row_.first); u < end; ++u) {
+    if (depth[u] == 0.0f || dz[u] < min_m || dz[u] > max_m) continue;
+    detector_.add(slot, {row_.dx_m[u], row_.dy_m[u], dz[u]},
+                  camera_height_m + dz[u] >= projection.metricHeight(depth[u]));
+  }
+}
+
+void SemanticMap::collectVotes(const Frame& frame, const Projection& projection) {
+  const FloorBand floor = makeFloorBand(projection);
+  for (int v = 0; v < metres_.rows; ++v) {
+    projectRow(projection, v, {0, metres_.cols}, 1);
+    if (row_.first < row_.end) voteRow(frame, projection, floor, v);
+  }
+}
+
+void SemanticMap::projectRow(const Projection& projection, int v, const Run& pixels, int edge_px) {
+  projection.projectRow(metres_, v, pixels, edge_px, &row_);
+  if (params_.range.local_floor) floor_.level(&row_);
+}
+
+FloorBand SemanticMap::makeFloorBand(const Projection& projection) const {
+  FloorBand floor;
+  floor.camera_height_m = projection.camera_height_m();
+  floor.metric_min_height_m = projection.metricHeight(0.0f);
+  floor.metric_slope = static_cast<float>(params_.range.metric_slope);
+  floor.layer = frame_votes_.layerOf(params_.range.floor_z_m);
+  if (params_.vote.metric_layer)
+    floor.min_height_m = static_cast<float>(params_.range.band_min_z_m);
+  // What lies below the floor makes the floor there unsafe.
+  if (params_.range.local_floor) floor.min_height_m = -std::numeric_limits<float>::infinity();
+  return floor;
+}
+
+void SemanticMap::voteRow(const Frame& frame, const Projection& projection, const FloorBand& floor,
+                          int v) {
+  frame_votes_.locate(row_, floor, &voxels_);
+  findMetric(floor);
+  const uint16_t* labels = frame.labels.ptr<uint16_t>(v);
+  const uint8_t* regions = by_image_ ? regions_.image().ptr<uint8_t>(v) : nullptr;
+  const int n_runs = splitRow(labels, regions);
+  const bool all_safe = !params_.semantics;
+  for (int i = 0; i < n_runs; ++i) {
+    const int first = run_starts_[i], end = run_starts_[i + 1];
+    const int32_t voxel = voxels_[first];
+    if (voxel == FrameVotes::kNoVoxel) continue;
+    const LabelMeaning& meaning = meanings_[labels[first]];
+    const uint8_t region = by_image_ ? regions[first] : kNoRegion;
+    const uint16_t rule = region_causes_[region];
+    const bool safe = all_safe || (by_image_ ? region == kSafeRegion : meaning.safe);
+    const uint8_t metric = metric_[first];
+    // A drop counts by the majority of a voxel: on glossy floor some points are reflections.
+    const VoteKind kind = metric == kObstacle   ? kMetricVote
+                          : safe && metric == 0 ? kSafeVote
+                                                : kUnsafeVote;
+    const uint16_t cause = metric != 0        ? meaning.metric_cause
+                           : rule != kNoCause ? rule
+                                              : meaning.cause;
+    if (voxel != FrameVotes::kUndecided) {
+      frame_votes_.add(voxel, kind, static_cast<uint32_t>(end - first), cause);
+      continue;
+    }
+    for (int u = first; u < end; ++u)
+      frame_votes_.add(locateExactly(frame, projection, floor, u, v), kind, 1, cause);
+  }
+}
+
+/// Which points of row_ lie in the metric band (kObstacle), or as far below the local floor as an
+/// obstacle stands above it (kDrop).
+void SemanticMap::findMetric(const FloorBand& floor) {
+  metric_.resize(row_.depth_m.size());
+  if (!params_.vote.metric_layer) return;
+  const auto max_m = static_cast<float>(params_.range.band_max_z_m);
+  // Without a local floor nothing is a drop.
+  const float lowest_m = params_.range.local_floor ? static_cast<float>(params_.range.band_min_z_m)
+                                                   : -std::numeric_limits<float>::infinity();
+  const uint8_t drop = params_.range.local_floor ? kDrop : 0;
+  const FloorBand low = floor;  // a copy: nobody else can write to it
+  const float *depth = row_.depth_m.data(), *dz = row_.dz_m.data();
+  uint8_t* metric = metric_.data();
+  for (int u = row_.first, end = row_.end; u < end; ++u) {
+    const float height_m = low.camera_height_m + dz[u];
+    const float min_m = low.metric_min_height_m + low.metric_slope * depth[u];
+    const bool is_drop = (height_m < lowest_m) | (height_m < -min_m);
+    const bool is_obstacle = (height_m >= min_m) & (height_m <= max_m);
+    metric[u] = static_cast<uint8_t>((is_obstacle ? kObstacle : 0) | (is_drop ? drop : 0));
+  }
+}
+
+/// Splits row_ into runs of pixels that vote alike for one voxel; neighbours mostly do.
+/// @returns the number of runs in run_starts_; the end of the last one follows them.
+int SemanticMap::splitRow(const uint16_t* labels, const uint8_t* regions) {
+  const int first = row_.first, end = row_.end;
+  changes_.resize(row_.depth_m.size());
+  uint8_t* changes = changes_.data();
+  const uint8_t* metric = metric_.data();
+  markChanges(voxels_.data(), labels, by_image_ ? regions : metric, {first, end}, changes);
+  for (int u = first + 1; u < end && by_image_ && params_.vote.metric_layer; ++u)
+    changes[u] |= static_cast<uint8_t>(metric[u] != metric[u - 1]);
+  run_starts_.resize(changes_.size() + 1);
+  int* starts = run_starts_.data();
+  int n = 0;
+  starts[n++] = first;
+  for (int u = first + 1; u < end; ++u) {
+    starts[n] = u;  // stays only where a run begins: no branch that depends on the picture
+    n += changes[u];
+  }
+  starts[n] = end;
+  return n;
+}
+
+/// Fills the causes of the regions in which an unsafe predicate holds.
+void SemanticMap::nameRules() {
+  region_causes_.fill(kNoCause);
+  for (size_t i = 0; i < predicates_.size() && i < kMostRules; ++i)
+    region_causes_[i + 1] = causes_.intern(formatRule(predicates_[i]), predicates_[i].class_name);
+}
+
+int32_t SemanticMap::locateExactly(const Frame& frame, const Projection& projection,
+                                   const FloorBand& floor, int u, int v) const {
+  const bool in_mm = frame.depth.type() == CV_16UC1;
+  const double depth_m =
+      in_mm ? frame.depth.ptr<uint16_t>(v)[u] / 1000.0 : frame.depth.ptr<float>(v)[u];
+  Eigen::Vector3d d_m = projection.computePoint(u, v, depth_m);
+  if (params_.range.local_floor) {
+    const Eigen::Vector3d p = projection.p_map_camera() + d_m;
+    d_m.z() -= floor_.height_m(p.x(), p.y());
+  }
+  return frame_votes_.locatePoint(d_m, depth_m, floor);
+}
+
+}  // namespace core_perception
