@@ -85,13 +85,13 @@ class Plant:
     def __init__(self, pose, lag_s=0.08, delay_ticks=0, period_s=0.05):
         self.pose, self.twist = np.array(pose, dtype=float), np.zeros(3)
         self._lag_s, self._period_s = lag_s, period_s
-        self._queue = [np.zeros(3)] * delay_ticks
+        self.queue = [np.zeros(3)] * delay_ticks
 
     def step(self, u) -> np.ndarray:
         """Advance one period; poses (10, 3) on the way."""
-        self._queue.append(np.array(u, dtype=float))
+        self.queue.append(np.array(u, dtype=float))
         times_s = self._period_s * np.arange(1, 11) / 10.0
-        poses, self.twist = integrate_lag(self.pose, self.twist, self._queue.pop(0), times_s, self._lag_s)
+        poses, self.twist = integrate_lag(self.pose, self.twist, self.queue.pop(0), times_s, self._lag_s)
         self.pose = poses[-1]
         return poses
 

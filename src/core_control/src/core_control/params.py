@@ -49,7 +49,7 @@ class FilterParams:
     profile: str = parameter("core", Choice(("core", "paper")))
     enforce: bool = parameter(True, Flag())
     lockstep: bool = parameter(False, Flag())
-    solver: str = parameter("clarabel", Choice(("clarabel", "daqp")))
+    solver: str = parameter("compiled", Choice(("compiled", "cvxpy")))
     output_rate_hz: float = parameter(20.0, Number(1.0, 200.0))
     nominal_timeout_s: float = parameter(0.3, POSITIVE)
     grid_timeout_s: float = parameter(0.5, POSITIVE)

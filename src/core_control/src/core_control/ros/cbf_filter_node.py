@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 
@@ -16,6 +17,7 @@ from rospy.numpy_msg import numpy_msg
 from std_srvs.srv import Trigger, TriggerResponse
 
 from core_control.cbf_filter import CbfFilter
+from core_control.exceptions import SolverError
 from core_control.modes import Reason
 from core_control.params import FilterParams
 from core_control.ros.conversions import state_to_msg, twist_to_msg
@@ -175,5 +177,8 @@ def main() -> None:
     """Start the node."""
     rospy.init_node("cbf_filter")
     params = read_node_parameters(FilterParams)
-    LockstepFilter(params) if params.lockstep else RealTimeFilter(params)
+    try:
+        LockstepFilter(params) if params.lockstep else RealTimeFilter(params)
+    except SolverError as error:
+        sys.exit(f"{rospy.get_name()}: the filter does not start: {error}")
     rospy.spin()
