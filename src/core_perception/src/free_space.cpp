@@ -2,6 +2,7 @@
 #include "core_perception/free_space.h"
 
 #include <cmath>
+#include <limits>
 
 namespace core_perception {
 namespace {
@@ -21,16 +22,40 @@ ColumnRange findReach(const Projection& projection, double resolution_m) {
           toIndex(p.y() + reach_m)};
 }
 
-/// Whether the frame saw floor in the column and nothing that stands up.
-bool sawOnlyFloor(const FrameVotes& votes, const VoteMap& map, int x, int y) {
-  uint32_t n_floor = 0;
+constexpr int kNoFloor = std::numeric_limits<int>::min();
+
+/// Layer of the floor that the frame saw in a column; kNoFloor where it saw none, or something that
+/// stands up.
+int findBareFloor(const FrameVotes& votes, const VoteMap& map, int x, int y) {
+  int layer = kNoFloor;
   for (int z = map.bandMin(); z <= map.bandMax(); ++z) {
     const VoxelTally* tally = votes.find({x, y, z});
     if (tally == nullptr) continue;
-    if (tally->n_metric() > 0) return false;
-    n_floor += tally->n_safe() + tally->n_unsafe();
+    if (tally->n_metric() > 0) return kNoFloor;
+    if (tally->n_safe() + tally->n_unsafe() > 0 && layer == kNoFloor) layer = z;
   }
-  return n_floor > 0;
+  return layer;
+}
+
+int findLowestUnsafe(const VoteMap& map, int x, int y) {
+  int z = map.bandMin();
+  while (z < map.bandMax() && map.counts({x, y, z}).n_unsafe == 0) ++z;
+  return z;
+}
+
+/// Whether the image holds all of the floor of a column: then it shows the foot of what stands
+/// there.
+bool isFloorInView(const cv::Mat& metres, const Projection& projection, const VoxelIndex& column,
+                   double resolution_m, double floor_m) {
+  for (int i = 0; i < 4; ++i) {
+    const Eigen::Vector3d corner((column.x + i % 2) * resolution_m,
+                                 (column.y + i / 2) * resolution_m, floor_m);
+    const Eigen::Vector3d pixel = projection.project(corner);
+    const bool inside = pixel.z() > 0.0 && pixel.x() >= 0.0 && pixel.y() >= 0.0 &&
+                        pixel.x() <= metres.cols - 1 && pixel.y() <= metres.rows - 1;
+    if (!inside) return false;
+  }
+  return true;
 }
 
 }  // namespace
@@ -71,13 +96,20 @@ int clearSeenThrough(const cv::Mat& metres, const Projection& projection, const 
     for (int x = range.min_x; x <= range.max_x; ++x) {
       const Column* column = map->find(x, y);
       if (column == nullptr || column->counts.n_unsafe == 0) continue;
-      const bool only_floor = sawOnlyFloor(votes, *map, x, y);
+      const int floor_layer = findBareFloor(votes, *map, x, y);
+      const bool only_floor = floor_layer != kNoFloor;
+      const double floor_m = floor.height_m((x + 0.5) * resolution_m, (y + 0.5) * resolution_m);
+      // What hangs over the floor shows no foot.
+      const bool stands = only_floor && findLowestUnsafe(*map, x, y) <= floor_layer + 1;
+      const bool shows_foot =
+          stands && isFloorInView(metres, projection, {x, y, floor_layer}, resolution_m,
+                                  floor_layer * resolution_m + floor_m);
       for (int z = map->bandMin(); z <= map->bandMax(); ++z) {
         const VoxelIndex voxel{x, y, z};
         if (map->counts(voxel).n_unsafe == 0 || votes.find(voxel) != nullptr) continue;
         Eigen::Vector3d centre = Eigen::Vector3d(x + 0.5, y + 0.5, z + 0.5) * resolution_m;
-        centre.z() += floor.height_m(centre.x(), centre.y());
-        const bool may_be_cut = only_floor && map->isMobile(voxel);
+        centre.z() += floor_m;
+        const bool may_be_cut = shows_foot && map->isMobile(voxel);
         if (!isSeenThrough(metres, projection, centre, resolution_m, only_floor, may_be_cut))
           continue;
         map->contradictVoxel(voxel);

@@ -8,8 +8,9 @@
 namespace core_perception {
 namespace {
 
-constexpr double kMargin_m = 0.03;  // around the footprint, so that one seen edge-on has an inside
-constexpr int kFewestExpected = 4;  // pixels
+constexpr double kMargin_m = 0.03;   // around the footprint, so that one seen edge-on has an inside
+constexpr double kOverhang_m = 0.3;  // what begins higher hangs over the floor
+constexpr int kFewestExpected = 4;   // pixels
 constexpr double kFloorShare = 0.6;
 constexpr double kStandingShare = 0.05;  // of the expected pixels: stray points
 constexpr double kOtherShare = 0.9;
@@ -30,6 +31,7 @@ PlaceView PlaceProbe::look(const HeldInstance& held) const {
   if (!isInView(held.footprint)) return PlaceView::kHidden;  // cheap for the many far away
   const Polygon place = grow(held.footprint);
   if (!isInView(place)) return PlaceView::kHidden;
+  if (!isBodyInView(held)) return PlaceView::kHidden;
   const bool flat = held.z_max_m - range_.floor_z_m < range_.metric_min_height_m;
   const auto& evaluated = frame_.classes_evaluated;
   const bool looked_for = std::count(evaluated.begin(), evaluated.end(), held.class_name) > 0;
@@ -57,6 +59,20 @@ bool PlaceProbe::isInView(const Polygon& place) const {
            pixel.y() >= 0.0 && pixel.x() <= camera.width_px - 1 &&
            pixel.y() <= camera.height_px - 1;
   });
+}
+
+bool PlaceProbe::isBodyInView(const HeldInstance& held) const {
+  const double low_m = held.z_min_m - range_.floor_z_m, high_m = held.z_max_m - range_.floor_z_m;
+  if (low_m <= kOverhang_m) return true;  // its foot is on the floor of its place
+  for (const double height_m : {low_m, std::max(low_m, std::min(high_m, range_.band_max_z_m))}) {
+    for (const Point2& corner : held.footprint) {
+      const Eigen::Vector3d pixel = projectAbove(corner, height_m);
+      const bool inside = pixel.z() > 0.0 && pixel.x() >= 0.0 && pixel.y() >= 0.0 &&
+                          pixel.x() <= metres_.cols - 1 && pixel.y() <= metres_.rows - 1;
+      if (!inside) return false;
+    }
+  }
+  return true;
 }
 
 cv::Rect PlaceProbe::findPixels(const Polygon& place, double top_z_m) const {

@@ -141,6 +141,8 @@ bool SemanticMap::clearBox(const Eigen::Vector3d& min_m, const Eigen::Vector3d& 
   const int n_objects = memory_.clearBox(clamp(min_m), clamp(max_m));
   const int n_away = window_ ? window_->clearBox(clamp(min_m), clamp(max_m)) : 0;
   if (n_voxels + n_objects + n_away == 0) return false;
+  // Of squares on the disk more is forgotten than the box, and that it was ever seen.
+  if (n_away > 0) disc_.radius_m = 0.0;
   history_start_s_ = 0.0;
   return true;
 }

@@ -46,10 +46,10 @@ bool VoteMap::fadeVoxel(const VoxelIndex& voxel, int half_lives) {
   return left.n_unsafe > 0;
 }
 
-/// The floor of a column that was not seen since something unsafe was there is unknown.
+/// Where something faded the floor is unknown until it is seen again: what was seen of the column
+/// meanwhile may have been a part of it.
 void VoteMap::dropStaleFloor(const VoxelIndex& gone) {
   const Place place = touchPlace(gone.x, gone.y);
-  if (place.column->derived_frame > place.column->cause_frame) return;
   for (int z = band_min_; z <= band_max_; ++z) {
     const Counts& counts = place.voxel(z - band_min_).counts;
     if (!counts.empty() && isSafe(counts, vote_.tau)) setVoxel({gone.x, gone.y, z}, Counts());

@@ -89,3 +89,18 @@ def test_metres_are_those_of_the_inverse_that_was_written_and_0_is_nothing():
 def test_what_is_no_such_image_is_refused_in_words(data, kind, words):
     with pytest.raises(EvidenceError, match=words):
         decode_image(data, kind)
+
+
+def test_a_jpeg_that_is_cut_off_is_refused_and_one_with_filling_is_not():
+    data = file_of(RGB[:, :, ::-1], "jpeg")
+    assert decode_image(data + b"\0\0", "jpeg")[0].shape == RGB.shape
+    for share in (0.5, 0.9):
+        with pytest.raises(EvidenceError, match="cut off"):
+            decode_image(data[: int(share * len(data))], "jpeg")
+
+
+def test_an_image_of_a_size_nobody_has_is_refused_in_words():
+    data = bytearray(file_of(RGB))
+    data[16:24] = struct.pack(">II", 70000, 70000)
+    with pytest.raises(EvidenceError):
+        decode_image(bytes(data), "png")

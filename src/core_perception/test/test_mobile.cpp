@@ -125,6 +125,56 @@ class Watch {
   SemanticMap map_{SemanticMapParams()};
 };
 
+CellState stateAt(const SafetyGrid& grid, double x_m, double y_m) {
+  const double res = grid.frame.resolution_m;
+  const int x = static_cast<int>(std::floor(x_m / res)) - grid.frame.origin.x;
+  const int y = static_cast<int>(std::floor(y_m / res)) - grid.frame.origin.y;
+  return grid.state[static_cast<size_t>(y) * grid.frame.width + x];
+}
+
+TEST(WhatIsNotAPerson,
+     thin_thing_without_a_label_beside_one_never_becomes_safe_as_the_robot_turns) {
+  for (const double x_m : {1.5, 1.9, 2.3}) {
+    SemanticMap map{SemanticMapParams()};
+    Scene scene;  // an unnamed class gets no label
+    scene.cylinders = {{"", {x_m, -0.1}, 0.04, 0.0, 1.2}, makePerson(x_m + 0.1, 0.2)};
+    const Constraints rules = makePersonRules();
+    double stamp_s = 1.0, yaw_rad = 0.0;
+    const auto look = [&] {
+      Frame frame = scene.render(stamp_s += 0.1, 0.0, 0.0, yaw_rad);
+      for (const LabelClass& c : frame.classes) {
+        if (c.class_name.empty()) frame.labels.setTo(0, frame.labels == c.id);
+      }
+      map.update(frame, rules);
+    };
+    for (int k = 0; k < 20; ++k) look();
+    ASSERT_NE(stateAt(map.grid(), x_m, -0.1), CellState::kSafe);
+    for (; yaw_rad > -1.5; yaw_rad -= 0.005) look();
+    for (int k = 0; k < 250; ++k) look();
+    EXPECT_NE(stateAt(map.grid(), x_m, -0.1), CellState::kSafe) << x_m;
+  }
+}
+
+TEST(WhatIsNotAPerson, arm_over_the_floor_is_held_as_the_robot_drives_up_to_it) {
+  const Constraints rules = [] {
+    Constraints all = makeConeRules();
+    all.predicates.push_back(makePredicate(SpatialOperator::kNear, "robot_arm", Verdict::kUnsafe));
+    return all;
+  }();
+  for (const double last_x_m : {2.3, 2.4, 2.6}) {
+    SemanticMap map{SemanticMapParams()};
+    Scene scene;
+    scene.cylinders = {{"robot_arm", {4.0, 0.0}, 0.1, 0.85, 0.95}};
+    double stamp_s = 1.0;
+    for (double x_m = 0.0; x_m < last_x_m; x_m += 0.03)
+      map.update(scene.render(stamp_s += 0.1, x_m, 0.0, 0.0), rules);
+    for (int k = 0; k < 30; ++k)
+      map.update(scene.render(stamp_s += 0.1, last_x_m, 0.0, 0.0), rules);
+    EXPECT_EQ(map.instances().size(), 1u) << last_x_m;
+    EXPECT_NE(stateAt(map.grid(), 3.95, 0.05), CellState::kSafe) << last_x_m;
+  }
+}
+
 class Mobile : public testing::TestWithParam<Sight> {};
 
 TEST_P(Mobile, person_who_walks_away_is_gone_from_the_barrier_in_time) {

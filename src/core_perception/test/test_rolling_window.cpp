@@ -356,6 +356,31 @@ TEST(RollingWindow, box_clears_what_is_away_too) {
   walkWith(folder.path, atFarEnd, [](SemanticMap*) {});
 }
 
+TEST(RollingWindow, square_cleared_while_away_is_not_taken_for_the_first_disc) {
+  const Folder folder;
+  SemanticMapParams params;
+  params.window_m = params.window.keep_radius_m = 10.0;
+  params.window.outside = "disk";
+  params.window.tile_dir = folder.path;
+  SemanticMap map{params};
+  Scene scene;
+  scene.cylinders = {{"cone", {1.2, 0.3}, 0.15, 0.0, 0.7}};
+  const Constraints rules = makeConeRules();
+  double stamp_s = 1.0;
+  const auto look = [&](double x_m, double yaw_rad) {
+    map.update(scene.render(stamp_s += 0.1, x_m, 0.0, yaw_rad), rules);
+  };
+  look(0.0, 0.0);
+  for (int k = 0; k < 10; ++k) look(-0.5, 0.0);
+  for (double x_m = 0.0; x_m > -60.0; x_m -= 0.5) look(x_m, M_PI);
+  ASSERT_TRUE(map.clearBox({5.0, 5.0, -1.0}, {5.2, 5.2, 2.0})) << "of the cone's square";
+  for (double x_m = -60.0; x_m < -0.4; x_m += 0.5) look(x_m, M_PI);
+  const GridFrame& frame = map.grid().frame;
+  const int x = static_cast<int>(std::floor(1.15 / frame.resolution_m)) - frame.origin.x;
+  const int y = static_cast<int>(std::floor(0.3 / frame.resolution_m)) - frame.origin.y;
+  EXPECT_NE(map.grid().state[static_cast<size_t>(y) * frame.width + x], CellState::kSafe);
+}
+
 TEST(RollingWindow, folder_that_cannot_be_written_to_is_refused) {
   try {
     SemanticMap map{makeParams(8.0, "disk", "/no/such/folder")};

@@ -18,9 +18,10 @@ namespace core_perception {
 /// alone. A pixel without depth says nothing by itself (the sky, a black or a shiny thing); it
 /// counts as beyond where this frame saw floor and no obstacle in the voxel's column. A projective
 /// test, without ray casting: its cost grows with the number of unsafe voxels, not of pixels.
-/// What a moving thing left may also be cut by the border of the image, or lie beyond it, where
-/// this frame saw floor and no obstacle in the column: near the camera the upper voxels of a person
-/// are above the image as long as the robot stands still. A table at rest is not cleared so.
+/// What a moving thing left may also be cut by the border of the image, or lie beyond it, where all
+/// floor of the column is in the image, this frame saw no obstacle there, and what it left reaches
+/// down to the floor: near the camera the upper voxels of a person are above the image as long as
+/// the robot stands still. A table at rest, or an arm over the floor, is not cleared so.
 /// @param floor heights that the map's are above.
 /// @returns number of voxels that lost a vote.
 int clearSeenThrough(const cv::Mat& metres, const Projection& projection, const FrameVotes& votes,

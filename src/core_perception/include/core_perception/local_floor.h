@@ -28,9 +28,10 @@ enum class FloorState : uint8_t {
 ///     |z - z_f| <= max(0.9 metric_min_height_m, kGrade distance) + kNoise range
 ///
 /// So a kerb of 0.08 m and a ramp are floor. What rises by metric_min_height_m near the robot never
-/// is; nor do small steps close behind each other add up. A column that is not flat has to agree
-/// within kGrade distance: what stands in it may hide its own foot. Across what is not floor the
-/// floor goes on level.
+/// is; nor do small steps add up that follow each other within two columns. Steps that are farther
+/// apart, and slopes up to kGrade, are floor however high they lead. A column that is not flat has
+/// to agree within kGrade distance: what stands in it may hide its own foot. Across what is not
+/// floor the floor goes on level.
 ///
 /// A column in view that does not join is no floor, and a point in it counts by the lowest floor
 /// within kLowering_m: where in doubt the floor is low, and more counts as an obstacle. Ground that

@@ -39,6 +39,8 @@ class PlaceProbe {
 
   /// Pixel of a place at a height above the local floor, as Projection::project.
   Eigen::Vector3d projectAbove(const Point2& place, double height_m) const;
+  /// Of what hangs over the floor; true for what stands on it.
+  bool isBodyInView(const HeldInstance& held) const;
   bool isInView(const Polygon& place) const;
   cv::Rect findPixels(const Polygon& place, double top_z_m) const;
   enum class Owner { kNone, kSame, kOther };

@@ -62,7 +62,10 @@ def _decode_depth(data, encoding, compression):
 
 
 def _decode_file(data, kind) -> np.ndarray:
-    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    try:
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    except cv2.error as error:
+        raise EvidenceError(f"compressed image: {error.err or error}") from error
     is_known = pixels is not None and (
         (pixels.dtype.name, pixels.ndim) in _ENCODINGS
         or (pixels.dtype == np.uint8 and pixels.ndim == 3 and pixels.shape[2] in (3, 4))
@@ -70,4 +73,6 @@ def _decode_file(data, kind) -> np.ndarray:
     if not is_known:
         what = "no image" if pixels is None else f"{pixels.dtype} {pixels.shape}"
         raise EvidenceError(f"compressed image: got {what} in {len(data)} bytes of {kind!r}, allowed JPEG or PNG")
+    if data[:2] == b"\xff\xd8" and data.rstrip(b"\0")[-2:] != b"\xff\xd9":
+        raise EvidenceError(f"compressed image: a JPEG of {len(data)} bytes that is cut off")
     return pixels
