@@ -95,7 +95,7 @@ def test_a_jpeg_that_is_cut_off_is_refused_and_one_with_filling_is_not():
     data = file_of(RGB[:, :, ::-1], "jpeg")
     assert decode_image(data + b"\0\0", "jpeg")[0].shape == RGB.shape
     for share in (0.5, 0.9):
-        with pytest.raises(EvidenceError, match="cut off"):
+        with pytest.raises(EvidenceError, match="cut off|no image"):
             decode_image(data[: int(share * len(data))], "jpeg")
 
 
