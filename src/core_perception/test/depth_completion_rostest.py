@@ -10,7 +10,7 @@ import pytest
 import rospy
 from depth_scenes import make_room, sense
 from diagnostic_msgs.msg import DiagnosticArray
-from fake_chain import Collector, joined_graph, run_as_script, start_node, stop_node, wait_for
+from fake_chain import Collector, is_served, joined_graph, run_as_script, start_node, stop_node, wait_for
 from fakes.fake_depth_sidecar import FakeDepthSidecar
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
@@ -51,6 +51,10 @@ class Camera:
         wanted += {"remote": ["camera/color/image_raw"], "topic": ["depth_prediction/image_raw"]}.get(backend, [])
         wait_for(lambda: all(self.publishers[t].get_num_connections() for t in wanted), "the node's subscriptions")
         wait_for(lambda: self.completed._subscriber.get_num_connections(), "the node's publisher")
+        node = f"/{self.namespace}/depth_completion"
+        wait_for(
+            lambda: is_served(node, f"/{self.namespace}/camera/depth_completed/image_raw"), "the node's connection"
+        )
         return process
 
     def send(self, topic, k, image, encoding, frame_id=FRAME):

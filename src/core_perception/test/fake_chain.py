@@ -8,10 +8,12 @@ import subprocess
 import sys
 import threading
 import time
+import xmlrpc.client
 from pathlib import Path
 
 import numpy as np
 import pytest
+import rosgraph
 import rospy
 import tf2_ros
 from core_msgs.msg import Instance, InstanceArray, LabelClass, LabelInfo, SafetyConstraints, SafetyGrid, Tick
@@ -86,6 +88,14 @@ def start_node(name, namespace, **params):
         rospy.set_param(f"/{namespace}/{name}/{key}", value)
     command = [sys.executable, str(PACKAGE_DIR / "scripts" / name), f"__ns:={namespace}"]
     return subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+
+
+def is_served(node, topic):
+    """Whether a node knows that this one reads its topic: a subscriber counts a connection before that."""
+    own = rospy.get_name()
+    uri = rosgraph.Master(own).lookupNode(node)
+    connections = xmlrpc.client.ServerProxy(uri).getBusInfo(own)[2]
+    return any(c[1] == own and c[2] == "o" and c[4] == topic and c[5] for c in connections)
 
 
 def stop_node(process):
