@@ -75,7 +75,7 @@ class Run:
             player.wait_connected(START_DEADLINE_S)
 
     def play(self, recording):
-        """Send every frame of a recording to both, at pinned times."""
+        """Send every frame of a recording to both, at pinned times; ends with the grids of the last one."""
         start_s = time.monotonic() + self._period_s
         for k, frame in enumerate(recording.frames):
             for offset, (name, player) in zip((0.0, 0.5), self._players.items()):
@@ -83,12 +83,12 @@ class Run:
                 send = player.prepare(recording.header, frame, stamp_ns)
                 self.late_starts += sleep_until(start_s + (k + offset) * self._period_s) > LATE_S
                 self._sent[name].append((stamp_ns, send()))
-        time.sleep(self._period_s)
+        for name, player in self._players.items():
+            player.arrival_s(self._sent[name][-1][0], LAST_GRID_DEADLINE_S)
 
     def latencies_ms(self, name):
         """Of the frames that were answered [ms]."""
         player = self._players[name]
-        player.arrival_s(self._sent[name][-1][0], LAST_GRID_DEADLINE_S)
         arrivals = [(player.arrival_s(stamp_ns), sent_s) for stamp_ns, sent_s in self._sent[name]]
         return np.array([1e3 * (arrived_s - sent_s) for arrived_s, sent_s in arrivals if arrived_s is not None])
 

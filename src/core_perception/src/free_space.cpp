@@ -45,15 +45,12 @@ int findLowestUnsafe(const VoteMap& map, int x, int y) {
 
 /// Whether the image holds all of the floor of a column: then it shows the foot of what stands
 /// there.
-bool isFloorInView(const cv::Mat& metres, const Projection& projection, const VoxelIndex& column,
-                   double resolution_m, double floor_m) {
+bool isFloorInView(const Projection& projection, const VoxelIndex& column, double resolution_m,
+                   double floor_m) {
   for (int i = 0; i < 4; ++i) {
     const Eigen::Vector3d corner((column.x + i % 2) * resolution_m,
                                  (column.y + i / 2) * resolution_m, floor_m);
-    const Eigen::Vector3d pixel = projection.project(corner);
-    const bool inside = pixel.z() > 0.0 && pixel.x() >= 0.0 && pixel.y() >= 0.0 &&
-                        pixel.x() <= metres.cols - 1 && pixel.y() <= metres.rows - 1;
-    if (!inside) return false;
+    if (!projection.isInImage(projection.project(corner))) return false;
   }
   return true;
 }
@@ -101,9 +98,8 @@ int clearSeenThrough(const cv::Mat& metres, const Projection& projection, const 
       const double floor_m = floor.height_m((x + 0.5) * resolution_m, (y + 0.5) * resolution_m);
       // What hangs over the floor shows no foot.
       const bool stands = only_floor && findLowestUnsafe(*map, x, y) <= floor_layer + 1;
-      const bool shows_foot =
-          stands && isFloorInView(metres, projection, {x, y, floor_layer}, resolution_m,
-                                  floor_layer * resolution_m + floor_m);
+      const bool shows_foot = stands && isFloorInView(projection, {x, y, floor_layer}, resolution_m,
+                                                      floor_layer * resolution_m + floor_m);
       for (int z = map->bandMin(); z <= map->bandMax(); ++z) {
         const VoxelIndex voxel{x, y, z};
         if (map->counts(voxel).n_unsafe == 0 || votes.find(voxel) != nullptr) continue;

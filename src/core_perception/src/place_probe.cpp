@@ -52,27 +52,21 @@ Eigen::Vector3d PlaceProbe::projectAbove(const Point2& place, double height_m) c
 }
 
 bool PlaceProbe::isInView(const Polygon& place) const {
-  const Camera& camera = projection_.camera();
   return std::all_of(place.begin(), place.end(), [&](const Point2& corner) {
     const Eigen::Vector3d pixel = projectAbove(corner, 0.0);
-    return pixel.z() >= range_.range_min_m && pixel.z() <= range_.range_max_m && pixel.x() >= 0.0 &&
-           pixel.y() >= 0.0 && pixel.x() <= camera.width_px - 1 &&
-           pixel.y() <= camera.height_px - 1;
+    return pixel.z() >= range_.range_min_m && pixel.z() <= range_.range_max_m &&
+           projection_.isInImage(pixel);
   });
 }
 
 bool PlaceProbe::isBodyInView(const HeldInstance& held) const {
   const double low_m = held.z_min_m - range_.floor_z_m, high_m = held.z_max_m - range_.floor_z_m;
   if (low_m <= kOverhang_m) return true;  // its foot is on the floor of its place
-  for (const double height_m : {low_m, std::max(low_m, std::min(high_m, range_.band_max_z_m))}) {
-    for (const Point2& corner : held.footprint) {
-      const Eigen::Vector3d pixel = projectAbove(corner, height_m);
-      const bool inside = pixel.z() > 0.0 && pixel.x() >= 0.0 && pixel.y() >= 0.0 &&
-                          pixel.x() <= metres_.cols - 1 && pixel.y() <= metres_.rows - 1;
-      if (!inside) return false;
-    }
-  }
-  return true;
+  const double top_m = std::max(low_m, std::min(high_m, range_.band_max_z_m));
+  return std::all_of(held.footprint.begin(), held.footprint.end(), [&](const Point2& corner) {
+    return projection_.isInImage(projectAbove(corner, low_m)) &&
+           projection_.isInImage(projectAbove(corner, top_m));
+  });
 }
 
 cv::Rect PlaceProbe::findPixels(const Polygon& place, double top_z_m) const {

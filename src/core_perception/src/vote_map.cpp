@@ -9,17 +9,6 @@
 #include "core_perception/voxel_key.h"
 
 namespace core_perception {
-namespace {
-
-/// floor(value / step).
-template <int step>
-int floorTo(int value) {
-  static_assert((step & (step - 1)) == 0, "a power of two: no division is left of it");
-  return (value - (value & (step - 1))) / step;
-}
-
-}  // namespace
-
 constexpr int VoteMap::kTile;
 
 VoteMap::VoteMap(double resolution_m, const RangeParams& range, const VoteParams& vote)

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // Tiles taken out of a VoteMap and put back; see RollingWindow.
-#include <cmath>
 #include <set>
 #include <utility>
 
@@ -11,10 +10,6 @@ namespace core_perception {
 namespace {
 
 constexpr unsigned kTileDepth = 11;  // of the nodes of the tree that are a tile wide
-
-int floorToTile(int index) {
-  return static_cast<int>(std::floor(index / static_cast<double>(VoteMap::kTile)));
-}
 
 }  // namespace
 
@@ -27,7 +22,7 @@ std::vector<CellIndex> VoteMap::listTiles() const {
   const auto end = tree_.end_leafs();
   for (auto cube = tree_.begin_leafs(kTileDepth); cube != end; ++cube) {
     const VoxelIndex lowest = indexOf(cube.getIndexKey());
-    found.insert({floorToTile(lowest.x), floorToTile(lowest.y)});
+    found.insert({floorTo<kTile>(lowest.x), floorTo<kTile>(lowest.y)});
   }
   return {found.begin(), found.end()};
 }
@@ -42,7 +37,7 @@ MapTile VoteMap::takeTile(const CellIndex& tile) {
     forgetNearTiles();
   }
   // Nothing prunes this tree: each leaf is one voxel.
-  for (int z = floorToTile(tree_min_) * kTile; z <= tree_max_; z += kTile) {
+  for (int z = floorTo<kTile>(tree_min_) * kTile; z <= tree_max_; z += kTile) {
     octomap::OcTreeKey lowest;
     if (!makeKey({tile.x * kTile, tile.y * kTile, z}, &lowest)) continue;
     octomap::OcTreeKey highest = lowest;

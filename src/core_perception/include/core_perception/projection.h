@@ -39,6 +39,12 @@ class Projection {
   /// Pixel of a point of the fixed frame; z is its depth [m], u and v are meaningless where that is
   /// not positive.
   Eigen::Vector3d project(const Eigen::Vector3d& p_map) const;
+  /// Whether a pixel of project() lies before the camera and between the centres of the outermost
+  /// pixels.
+  bool isInImage(const Eigen::Vector3d& pixel) const {
+    return pixel.z() > 0.0 && pixel.x() >= 0.0 && pixel.y() >= 0.0 &&
+           pixel.x() <= camera_.width_px - 1 && pixel.y() <= camera_.height_px - 1;
+  }
   /// Lowest height of the metric obstacle band for a point at this depth [m].
   float metricHeight(float depth_m) const { return metric_min_height_m_ + metric_slope_ * depth_m; }
 

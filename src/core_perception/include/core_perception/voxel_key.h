@@ -25,6 +25,13 @@ inline VoxelIndex indexOf(const octomap::OcTreeKey& key) {
   return {key[0] - kOffset, key[1] - kOffset, key[2] - kOffset};
 }
 
+/// floor(value / step).
+template <int step>
+int floorTo(int value) {
+  static_assert((step & (step - 1)) == 0, "a power of two: no division is left of it");
+  return (value - (value & (step - 1))) / step;
+}
+
 /// One number for the two indices of a tile of the vote map.
 inline uint64_t makeTileKey(int tile_x, int tile_y) {
   return (static_cast<uint64_t>(static_cast<uint32_t>(tile_x)) << 32) |
