@@ -21,8 +21,8 @@ CORE for ROS 1: contextual safety for robots, in a PyBullet world.
   ./core.sh evaluate [--help]     the tasks of the paper and ours, with every method: trials, table, report.html
   ./core.sh gallery [--help]      pictures of every model and world
   ./core.sh test [NAME …]         every test: lint unit python38 cpp ros (or only the named kinds)
-  ./core.sh bench NAME [--help]   measure something against its bar; JSON in the last line: filter grounding grounding-ros
-                                  hazard_memory map_truth memory model_faults reasoning render sanitize soundness
+  ./core.sh bench NAME [--help]   measure something against its bar; JSON in the last line: filter filter_fuzz grounding
+                                  grounding-ros hazard_memory map_truth memory model_faults reasoning render sanitize soundness
   ./core.sh lint                  style, formatting, budgets, catkin_lint, spelling
   ./core.sh install [DIR]         catkin install space (default: install/)
   ./core.sh setup                 only install what is missing and build

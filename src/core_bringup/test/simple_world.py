@@ -43,6 +43,14 @@ def make_object(label_id, size_m, position_m, yaw_rad=0.0, shape="box", solid=Tr
     )  # fmt: skip
 
 
+def make_table(label_id, position_m, yaw_rad=0.0, top_m=0.7):
+    """A table of 2 x 1 m that collides by its parts: four legs of 0.1 m at the corners, and a top of 0.1 m on them."""
+    legs = [(x, y, 0.0, x + 0.1, y + 0.1, top_m) for x in (-1.0, 0.9) for y in (-0.5, 0.4)]
+    item = make_object(label_id, (2.0, 1.0, top_m + 0.1), position_m, yaw_rad)
+    parts_m = np.array([*legs, (-1.0, -0.5, top_m, 1.0, 0.5, top_m + 0.1)])
+    return replace(item, collision="parts", collision_parts_m=parts_m)
+
+
 def make_world(*objects, surfaces=()):
     floor = make_surface(FLOOR_ID, (-20.0, -20.0), (20.0, 20.0))
     light = Lighting(np.array([0.3, 0.2, 1.0]), np.ones(3))

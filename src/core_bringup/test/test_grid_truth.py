@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from simple_world import make_object, make_surface, make_world
+from simple_world import make_object, make_surface, make_table, make_world
 from synthetic import make_grid, make_record, walk
 
 from core_bringup.evaluation import grid_truth
@@ -332,6 +332,9 @@ def test_class_clearance_is_that_of_every_tick_measured_alone():
     ]  # fmt: skip
     pool = make_object(20, (5.0, 5.0, 0.5), (2.5, 0.3, 0.0), 0.4, solid=False)
     objects.append(dataclasses.replace(pool, class_name="class_20"))
+    for i, top_m in ((21, 0.7), (22, 1.5)):
+        table = make_table(i, (*rng.uniform(0.0, 5.0, 2), 0.0), rng.uniform(-3.0, 3.0), top_m)
+        objects.append(dataclasses.replace(table, class_name=f"class_{i}"))
     scene = make_scene(objects=objects)
     found = scene.class_clearance_m()
     for item in objects:

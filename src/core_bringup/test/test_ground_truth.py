@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simple_world import make_object
+from simple_world import make_object, make_table
 
 from core_bringup import polygons
 from core_bringup.ground_truth import GroundTruth, object_clearance_m
@@ -164,9 +164,41 @@ def test_what_is_touched_is_measured_not_what_is_drawn():
     assert GroundTruth((), (tree,), 1.0, 0.5).evaluate(0.0, 0.0, 0.0).obstacle_clearance_m == pytest.approx(1.3)
 
 
+def test_of_an_open_thing_its_parts_are_measured_and_what_hangs_above_the_robot_is_not():
+    """A table turned by a quarter: legs at x = 3 +- 0.45, y = 2 +- 0.95 (centres)."""
+    body, low, high = rectangle((0.0, 0.0), 0.0, 1.0, 0.5), 0.79, 0.81
+    tables = {top_m: make_table(5, (3.0, 2.0, 0.0), 0.5 * math.pi, top_m) for top_m in (low, high)}
+    assert object_clearance_m(body, tables[low]) == pytest.approx(math.hypot(2.0, 0.75))  # corner to corner
+    inside = rectangle((3.0, 2.0), 0.0, 0.5, 0.5)
+    assert object_clearance_m(inside, tables[low]) == pytest.approx(-0.75)
+    assert object_clearance_m(inside, tables[high]) == pytest.approx(math.hypot(0.15, 0.65))
+    on_a_leg = rectangle((3.45, 1.05), 0.0, 0.5, 0.5)
+    assert object_clearance_m(on_a_leg, tables[high]) == pytest.approx(-0.3)
+    for table in tables.values():
+        state = GroundTruth((), (table,), 0.5, 0.5).evaluate(3.0, 2.0, 0.0)
+        assert state.obstacle_clearance_m == object_clearance_m(inside, table)
+
+
+def test_a_thing_whose_parts_all_hang_above_the_robot_is_no_obstacle():
+    lamp = replace(make_table(5, (3.0, 2.0, 1.0)), collision_parts_m=np.array([[-1.0, -0.5, 0.0, 1.0, 0.5, 0.1]]))
+    assert GroundTruth((), (lamp,), 0.5, 0.5).evaluate(3.0, 2.0, 0.0).obstacle_clearance_m == math.inf
+
+
+def test_a_hull_holds_its_points_and_has_no_corner_too_many():
+    rng = np.random.default_rng(8)
+    for _ in range(50):
+        points = np.round(rng.uniform(-2, 2, (int(rng.integers(3, 30)), 2)), 1)
+        hull = polygons.convex_hull(points)
+        assert polygons.is_convex_ccw(hull)
+        assert all(contains_point(hull, p) or polygons.point_distance_m(hull, p) < 1e-6 for p in points)
+        assert {tuple(corner) for corner in hull} <= {tuple(point) for point in points}
+
+
 BOX = make_object(7, (1.0, 0.6, 1.0), (2.0, 0.5, 0.0), yaw_rad=0.5)
 POST = make_object(8, (0.5, 0.5, 1.0), (-1.0, 1.0, 0.0), shape="cylinder")
+TABLE = make_table(9, (1.0, -0.5, 0.0), yaw_rad=0.7)
 ROUND_REGIONS = {
+    "around_table": UnsafeRegion("table", "why", radius_m=0.9, object_name="object_9", item=TABLE),
     "disc": UnsafeRegion("disc", "why", center_m=np.array([0.5, -0.4]), radius_m=1.2),
     "around_box": UnsafeRegion("box", "why", radius_m=0.9, object_name="object_7", item=BOX),
     "around_post": UnsafeRegion("post", "why", radius_m=0.9, object_name="object_8", item=POST),

@@ -198,6 +198,20 @@ def test_what_is_touched_may_be_smaller_than_what_is_drawn(open_backend):
     assert 2.0 < state.p_world_base[0] < 2.6
 
 
+@pytest.mark.parametrize(("y_m", "stops"), [(0.0, False), (0.9, True)])
+def test_the_robot_walks_between_the_posts_of_a_high_table_and_runs_into_one(open_backend, y_m, stops):
+    posts = [[x, y, 0.0, x + 0.2, y + 0.2, 1.4] for x in (-0.5, 0.3) for y in (-1.0, 0.8)]
+    gate = replace(
+        make_object(5, (1.0, 2.0, 1.5), (1.6, 0.0, 0.0)),
+        collision="parts",
+        collision_parts_m=np.array([*posts, [-0.5, -1.0, 1.4, 0.5, 1.0, 1.5]]),
+    )
+    backend = open_backend(gate)
+    backend.reset(np.array([0.0, y_m, 0.0]))
+    x_m = run(backend, (0.5, 0.0, 0.0), 7.0)[-1].p_world_base[0]
+    assert x_m < 1.0 if stops else x_m > 3.0
+
+
 def test_robot_on_its_side_has_fallen(backend):
     pybullet.resetBasePositionAndOrientation(
         backend._scene.robot, (0, 0, 0.5), (0.7071, 0, 0, 0.7071), physicsClientId=backend._client

@@ -9,9 +9,12 @@ import pytest
 import yaml
 from simple_world import ROBOT, ROBOT_FILE
 
+from core_bringup.base_config import BaseConfig
+from core_bringup.describe import main as describe
 from core_bringup.exceptions import ConfigError
 from core_bringup.quadruped.kinematics import JOINT_NAMES
 from core_bringup.robot import CameraMount, RobotConfig
+from core_control.params import FilterParams
 
 SHIPPED = yaml.safe_load(ROBOT_FILE.read_text(encoding="utf-8"))
 
@@ -27,8 +30,84 @@ def changed(path, value):
 
 
 @pytest.mark.parametrize("path", sorted(ROBOT_FILE.parent.glob("*.yaml")), ids=lambda path: path.stem)
-def test_every_shipped_robot_loads(path):
-    assert RobotConfig.load(path).name == path.stem
+def test_every_shipped_robot_loads_and_the_filter_takes_it(path):
+    assert BaseConfig.load(path).name == path.stem
+    params = FilterParams.from_dict(BaseConfig.load(path).make_filter_parameters())
+    assert params.kinematics == "holonomic" or params.look_ahead_m > params.max_vx_mps / params.alpha_per_s
+    if "quadruped" in path.read_text(encoding="utf-8"):
+        assert RobotConfig.load(path).name == path.stem
+
+
+WHEELED = {
+    "name": "cart",
+    "footprint": {"length_m": 0.8, "width_m": 0.6, "center_x_m": 0.2},
+    "limits": {"forward_mps": 0.4, "yaw_radps": 1.0},
+    "kinematics": {"kind": "ackermann", "look_ahead_m": 0.3, "min_turning_radius_m": 1.1},
+}
+
+
+def test_a_wheeled_base_gives_the_parameters_of_the_filter():
+    params = FilterParams.from_dict(BaseConfig.from_dict(WHEELED).make_filter_parameters())
+    assert (params.kinematics, params.look_ahead_m, params.min_turning_radius_m) == ("ackermann", 0.3, 1.1)
+    np.testing.assert_array_equal(params.limits, [0.4, 0.0, 0.4 / 1.1])
+    assert params.disc_array[:, 0].mean() == pytest.approx(0.2)
+
+
+def test_the_simulator_refuses_a_robot_without_legs():
+    with pytest.raises(ConfigError, match="cart.yaml: camera: missing"):
+        RobotConfig.from_dict(WHEELED, "cart.yaml")
+
+
+@pytest.mark.parametrize(
+    ("section", "values", "message"),
+    [
+        ("kinematics", {"kind": "tracks"}, "kinematics.kind: got 'tracks'; allowed: holonomic, diff"),
+        ("kinematics", {"kind": 3}, "kinematics.kind: got 3; allowed: a text"),
+        ("kinematics", {"kind": "holonomic"}, "limits.sideways_mps: missing"),
+        ("kinematics", {"kind": "differential"}, "kinematics.look_ahead_m: missing"),
+        ("kinematics", {"kind": "ackermann", "look_ahead_m": 0.3}, "kinematics.min_turning_radius_m: missing"),
+        ("kinematics", {**WHEELED["kinematics"], "kind": "differential"}, "min_turning_radius_m: got 1.1; allowed: no"),
+        ("kinematics", {**WHEELED["kinematics"], "look_ahead_m": -1.0}, "look_ahead_m: got -1.0; allowed: a finite"),
+        ("limits", {**WHEELED["limits"], "sideways_mps": 0.1}, "limits.sideways_mps: got 0.1; allowed: nothing for"),
+        ("footprint", {**WHEELED["footprint"], "center_x_m": "ahead"}, "footprint.center_x_m: got 'ahead'"),
+    ],
+)
+def test_wrong_kinematics_are_refused_in_one_line(section, values, message):
+    with pytest.raises(ConfigError) as caught:
+        BaseConfig.from_dict({**WHEELED, section: values}, "cart.yaml")
+    text = str(caught.value)
+    assert message in text and text.startswith("cart.yaml: ") and "\n" not in text
+
+
+@pytest.mark.parametrize("path", ["kinematics.kind", "footprint.center_x_m"])
+def test_legs_are_holonomic_and_centred(path):
+    value = "differential" if path.endswith("kind") else 0.1
+    data = changed(path, value)
+    if path.endswith("kind"):
+        data["kinematics"]["look_ahead_m"] = 0.3
+        del data["limits"]["sideways_mps"]
+    with pytest.raises(ConfigError, match=f"{path}: got .* with legs"):
+        RobotConfig.from_dict(data)
+
+
+def test_describe_prints_one_parameter_of_the_filter(capsys):
+    path = str(ROBOT_FILE.parent / "waffle_like.yaml")
+    assert describe(["filter", path, "kinematics"]) == 0
+    assert describe(["filter", path, "footprint/center_x_m"]) == 0
+    assert capsys.readouterr().out == "differential\n-0.064\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["filter", str(ROBOT_FILE), "lag_s"], "describe: arguments: KEY: got 'lag_s'; allowed: footprint/center_x_m"),
+        (["filter", "none.yaml", "kinematics"], "describe: none.yaml: "),
+    ],
+)
+def test_describe_refuses_bad_input_with_one_line_and_two(words, message, capsys):
+    assert describe(words) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.startswith(message) and err.count("\n") == 1
 
 
 def test_shipped_camera_is_that_of_the_paper():
@@ -143,3 +222,15 @@ def test_root_of_the_description_has_no_inertia_and_the_robot_weighs_the_same():
     assert description.find("link[@name='base_link']/inertial") is None
     total_kg = [sum(float(mass.get("value")) for mass in root.iter("mass")) for root in (description, physics)]
     assert total_kg[0] == total_kg[1] > 30.0
+
+
+def test_camera_opening_is_what_both_sides_of_the_axis_show():
+    assert ROBOT.camera.model.compute_horizontal_fov() == pytest.approx(1.474, abs=1e-3)
+    off_centre = RobotConfig.from_dict(changed("camera.model.cx_px", 100.0)).camera.model
+    assert off_centre.compute_horizontal_fov() == pytest.approx(2.0 * np.arctan(100.5 / 274.9))
+
+
+def test_facts_of_the_camera_are_printed(capsys):
+    assert [describe(["filter", str(ROBOT_FILE), key]) for key in ("camera_fov_rad", "camera_yaw_rad")] == [0, 0]
+    fov, yaw = capsys.readouterr().out.split()
+    assert (float(fov), float(yaw)) == (ROBOT.camera.model.compute_horizontal_fov(), ROBOT.camera.mount.yaw_rad)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from simple_world import make_object, make_ramp, make_surface
+from simple_world import make_object, make_ramp, make_surface, make_table
 
 from core_bringup.evaluation.true_regions import (
     OBSTACLE_RULE,
@@ -113,6 +113,24 @@ def test_what_stands_is_an_obstacle_whatever_is_said(size_m, z_m, solid, rule):
         assert list(areas_m2([thing], "NEAR(thing)=safe")) == [OBSTACLE_RULE]
     else:
         assert not areas_m2([thing], "NEAR(thing)=safe")
+
+
+@pytest.mark.parametrize(("top_m", "area_m2"), [(0.8, 2.0), (0.95, 0.04)])
+def test_of_an_open_thing_only_parts_within_the_height_of_the_robot_count(top_m, area_m2):
+    table = dataclasses.replace(make_table(1, (0.0, 0.0, 0.0), 0.5, top_m), class_name="table")
+    areas = areas_m2([table], "NEAR(table)=unsafe", "AROUND(table, 0.2)=unsafe")
+    assert areas["NEAR(table)"] == areas[OBSTACLE_RULE] == pytest.approx(area_m2, abs=0.01)
+    grown_m2 = 2.0 + 6.0 * 0.2 + math.pi * 0.2**2 if top_m < 0.9 else 4.0 * (0.01 + 0.4 * 0.2 + math.pi * 0.2**2)
+    assert areas["AROUND(table)"] == pytest.approx(grown_m2, rel=0.02)
+
+
+def test_low_parts_of_a_standing_thing_are_near_it_and_no_obstacle():
+    parts_m = np.array([[-0.5, -0.5, 0.0, 0.5, 0.5, 1.0], [0.5, -0.1, 0.0, 1.5, 0.1, 0.07]])
+    lift = dataclasses.replace(named(1, "lift", (3.0, 1.0, 1.0), (0.0, 0.0)), collision="parts")
+    lift = dataclasses.replace(lift, collision_parts_m=parts_m)
+    assert areas_m2([lift], "NEAR(lift)") == pytest.approx(
+        {OBSTACLE_RULE: 1.0, "not in a safe region (lift)": 0.2, "NEAR(lift)": 1.2}, abs=0.01
+    )
 
 
 def test_the_topmost_surface_counts_and_the_later_of_two_as_high():

@@ -144,6 +144,17 @@ def ramp(key, words, **keys):
     return ("surfaces", 1), {**RAMP, **keys}, f"surfaces[1].{key}", words
 
 
+POST_PARTS = [[-0.1, -0.1, 0, 0.1, 0.1, 1]]
+
+
+def parts(key, value, words, **keys):
+    """A post with these parts, or without any."""
+    post = {**GOOD["objects"][1], "collision": "parts", "collision_parts_m": value, **keys}
+    if value is DELETE:
+        del post["collision_parts_m"]
+    return ("objects", 1), post, f"objects[1].{key}", words
+
+
 def moving(key, words, **motion):
     return ("objects", 3), walker(**motion), f"objects[3].motion.{key}", words
 
@@ -222,6 +233,16 @@ BAD_TASKS = [
     moving("start.at_s", "got -2; allowed: >= 0", start={"at_s": -2}),
     moving("loops", "unknown key; allowed: face_motion, loop, path_m", loops=True),
     (("objects", 1, "collision_size_m"), [1, 2, 1], "objects[1].collision_size_m", "allowed: equal x and y"),
+    parts("collision", DELETE, "parts without collision_parts_m; allowed: parts together with collision_parts_m"),
+    parts("collision_parts_m", POST_PARTS, "given for collision 'box'; allowed: collision: parts", collision="box"),
+    parts("collision_parts_m", [], "got []; allowed: at least 1 entries"),
+    parts("collision_parts_m[0]", [[0, 0, 0, 0.1, 0.1]], "got [0, 0, 0, 0.1, 0.1]; allowed: at least 6 entries"),
+    parts("collision_parts_m", [*POST_PARTS, [0, 0, 0.5, 0.1, 0.1, 0.5]], "box 1 is empty; allowed: x0 < x1"),
+    parts("collision_parts_m", [[0, 0, 0, 0.2, 0.1, 1]], "box 0 reaches out of size_m [0.2, 0.2, 1.0]; allowed"),
+    parts("collision_parts_m", [[0, 0, -0.1, 0.1, 0.1, 1]], "box 0 reaches out of size_m"),
+    parts(
+        "collision_size_m", POST_PARTS, "given for collision 'parts'; allowed: only with", collision_size_m=[1, 1, 1]
+    ),
     ramp("corner_z_m", "got 3 heights; allowed: 4, one for each", corner_z_m=[0, 0.1, 0.2]),
     ramp("corner_z_m", "0.050 m off; allowed: one plane", corner_z_m=[0, 0.1, 0.1, 0.2]),
     ramp("corner_z_m", "a slope of 0.55; allowed: <= 0.5", corner_z_m=[0, 1.1, 1.1, 0]),
@@ -392,6 +413,14 @@ def test_region_around_an_object_follows_its_jitter(tmp_path):
         varied, _ = vary_world(world, "walk", seed)
         assert varied.task("walk").unsafe_regions[0].item is varied.objects[1]
         assert np.any(varied.objects[1].position_m != world.objects[1].position_m)
+
+
+def test_parts_are_scaled_as_the_mesh_is(tmp_path):
+    shutil.copy(WORLDS / "models" / "traffic_cone.obj", tmp_path / "cone.obj")
+    keys = {"mesh_scale": [2, 1, 0.5], "size_m": [0.8, 0.4, 0.5], "collision": "parts"}
+    data = changed(("objects", 2), {**GOOD["objects"][2], **keys, "collision_parts_m": [[-0.2, -0.1, 0, 0, 0.1, 1]]})
+    cone = load_world(write(tmp_path, data)).objects[2]
+    np.testing.assert_allclose(cone.collision_parts_m, [[-0.4, -0.1, 0, 0, 0.1, 0.5]])
 
 
 def test_a_missing_catalogue_is_told_with_a_model_that_might_be_in_it(tmp_path):

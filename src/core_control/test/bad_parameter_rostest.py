@@ -16,6 +16,16 @@ CASES = [
         "constraints_fresh_s:=15.5",
         "~constraints_fresh_s: got 15.5, allowed >= 0 and <= constraints_ttl_s (15)",
     ),
+    (
+        "cbf_filter",
+        "kinematics:=tracked",
+        "~kinematics: got 'tracked', allowed one of holonomic, differential, ackermann",
+    ),
+    (
+        "cbf_filter",
+        "kinematics:=ackermann",
+        "~min_turning_radius_m: got 0.0, allowed > 0 with kinematics ackermann",
+    ),
     ("waypoint_controller", "waypoints:=[[1.0]]", "~waypoints[0]: got [1.0], allowed a list of [x_m, y_m]"),
     ("filter_markers", "no_such_key:=3", "~no_such_key: got 3, allowed no such parameter"),
 ]

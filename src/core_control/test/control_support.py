@@ -14,6 +14,7 @@ from core_control.types import Cause, CellState, FilterInputs, SafetyGridData
 
 LENGTH_M, WIDTH_M = 1.1, 0.5
 CONE_LINE = Cause("BETWEEN(traffic_cone)", "traffic_cone")
+AROUND_PERSON = Cause("AROUND(person)", "person", 7, True)
 
 
 def make_grid(unsafe, resolution_m=0.1, origin_m=None, h_m=None, **changes) -> SafetyGridData:
@@ -39,6 +40,23 @@ def make_grid(unsafe, resolution_m=0.1, origin_m=None, h_m=None, **changes) -> S
 
 def make_field(unsafe, **changes) -> SafetyField:
     return SafetyField(make_grid(unsafe, **changes))
+
+
+def make_slow_field(box_m, cap_mps=0.2, n=120, resolution_m=0.1) -> SafetyField:
+    """A free field with one slow rectangle ((x0, x1), (y0, y1)) [m], by AROUND(person)."""
+    field = make_field(np.zeros((n, n), bool), resolution_m=resolution_m)
+    iy, ix = np.mgrid[:n, :n]
+    x, y = np.moveaxis(field.compute_centre(iy.ravel(), ix.ravel()), -1, 0)
+    (x0, x1), (y0, y1) = box_m
+    slow = ((x > x0) & (x < x1) & (y > y0) & (y < y1)).reshape(n, n)
+    cause = np.where(slow, 0, 65535).astype(np.uint16)
+    return make_field(
+        np.zeros((n, n), bool),
+        resolution_m=resolution_m,
+        cause=cause,
+        causes=(AROUND_PERSON,),
+        speed_cap_mps=np.where(slow, cap_mps, np.nan),
+    )
 
 
 def make_wall(x_m, size_m=10.0, resolution_m=0.1) -> SafetyField:
@@ -95,6 +113,17 @@ class Plant:
         self.pose = poses[-1]
         return poses
 
+    def predict_stop(self) -> np.ndarray:
+        """Poses (n, 3) from now on if every command from now on were zero, as densely as step() gives them."""
+        pose, twist, parts = self.pose, self.twist, [self.pose[None]]
+        stop_s = 8.0 * self._lag_s + self._period_s
+        for u, duration_s in [*((u, self._period_s) for u in self.queue), (np.zeros(3), stop_s)]:
+            count = round(10.0 * duration_s / self._period_s)
+            poses, twist = integrate_lag(pose, twist, u, duration_s * np.arange(1, count + 1) / count, self._lag_s)
+            pose = poses[-1]
+            parts.append(poses)
+        return np.concatenate(parts)
+
 
 @functools.lru_cache(maxsize=16)
 def find_unsafe_centres(field: SafetyField) -> np.ndarray:
@@ -102,10 +131,10 @@ def find_unsafe_centres(field: SafetyField) -> np.ndarray:
     return field.compute_centre(*np.nonzero(field.unsafe))
 
 
-def footprint_overlaps(field: SafetyField, pose, shrink_m=1e-9) -> bool:
-    """Whether the rectangle of the robot overlaps an unsafe cell or leaves the grid; separating axes, exact."""
+def footprint_overlaps(field: SafetyField, pose, shrink_m=1e-9, size_m=(LENGTH_M, WIDTH_M)) -> bool:
+    """Whether a rectangle centred on the pose overlaps an unsafe cell or leaves the grid; separating axes, exact."""
     R = compute_rotation(pose[2])
-    half = np.array([LENGTH_M, WIDTH_M]) / 2.0 - shrink_m
+    half = np.array(size_m) / 2.0 - shrink_m
     extent = np.abs(R) @ half
     if np.any(pose[:2] - extent < field.lo_m) or np.any(pose[:2] + extent > field.hi_m):
         return True

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Lock-step: every tick is answered once, with the stamps it was made for, and repeats bit for bit after a reset."""
 
+import time
 import unittest
 
 import numpy as np
@@ -9,9 +10,11 @@ import rospy
 import rostest
 from control_support import Plant
 from core_msgs.msg import FilterState, SafetyGrid, Tick
+from core_msgs.srv import Override
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 from ros_support import Collector, make_wall_msg, wait_until
+from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
@@ -90,6 +93,28 @@ class LockstepTest(unittest.TestCase):
         again, _ = world.run(60, grid_first=False)
         np.testing.assert_array_equal(again, poses[:60])
 
+    def test_operator_stops_it_by_true_not_by_silence_and_drives_in_sim_time(self):
+        world, plant = FakeWorld(), Plant(np.zeros(3))
+        e_stop = rospy.Publisher("e_stop", Bool, queue_size=1, latch=True)
+        reset = rospy.ServiceProxy("cbf_filter/reset", Trigger)
+
+        def answer(k):
+            world.send(k, plant)
+            return wait_until(lambda: world.answer_to(k), what=f"answer to tick {k}")
+
+        rospy.wait_for_service("cbf_filter/reset", 30.0)
+        self.addCleanup(e_stop.publish, False)
+        e_stop.publish(True)
+        wait_until(lambda: not reset().success, what="e_stop heard")
+        self.assertEqual([answer(0).reason, answer(1).reason], ["e_stop", "e_stop"])
+        e_stop.publish(False)
+        wait_until(lambda: reset().success, what="reset after e_stop")
+        time.sleep(1.3)
+        self.assertEqual(answer(2).mode, FilterState.NOMINAL)
+        self.assertTrue(rospy.ServiceProxy("cbf_filter/override", Override)(0.1, 0.475).success)
+        overridden = [answer(k).mode == FilterState.OVERRIDE for k in range(3, 15)]
+        self.assertEqual(overridden, [True] * 10 + [False] * 2)
+
     def test_wrong_period_stops_it_until_reset(self):
         world, plant = FakeWorld(), Plant(np.zeros(3))
         world.send(0, plant, period_s=0.1)
@@ -104,6 +129,10 @@ class LockstepTest(unittest.TestCase):
         state = wait_until(lambda: world.answer_to(2), what="answer to tick 2")
         self.assertEqual(state.reason, "")
         self.assertNotEqual(state.mode, FilterState.STOPPED)
+        world.send(3, plant, period_s=float("nan"))
+        state = wait_until(lambda: world.answer_to(3), what="answer to tick 3")
+        self.assertIn("tick period is nan s", state.detail)
+        self.assertTrue(rospy.ServiceProxy("cbf_filter/reset", Trigger)().success)
 
 
 if __name__ == "__main__":

@@ -32,17 +32,23 @@ class MarginFilter:
     Args:
         params: gain, discs, limits, lag and delay are used.
         cell_m: edge of a cell.
+        slewed: keep the shipped filter's limits of acceleration too.
 
-    Source: research notes of the project, design D4 there; no verifier, no limits of acceleration.
+    Source: research notes of the project, design D4 there; no verifier; without slewed, no limits of acceleration.
     """
 
-    def __init__(self, params: FilterParams, cell_m: float):
+    def __init__(self, params: FilterParams, cell_m: float, slewed: bool = False):
         """Build the program."""
         self._params, self._discs = params, params.disc_array
         speed_mps = math.hypot(params.max_vx_mps, params.max_vy_mps)
         self._margin_m = math.sqrt(2.0) * cell_m + (params.lag_s + params.delay_s) * speed_mps
         self._qp = VelocityQp(len(self._discs), params.weights, True, "compiled")
-        self._field, self._h_m = None, None
+        self._growth = params.accelerations * params.control_period_s if slewed else 2.0 * params.limits
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the field and the last command."""
+        self._field, self._h_m, self._sent = None, None, np.zeros(3)
 
     def step(self, inputs: FilterInputs) -> MarginResult:
         """Decide one command."""
@@ -56,8 +62,11 @@ class MarginFilter:
             a.append(np.append(R.T @ gradient, gradient @ (R @ np.array([-y, x]))))
             b.append(-self._params.alpha_per_s * max(h_m - radius_m - self._margin_m, 0.0))
         limits = self._params.limits
-        wanted = scale_to_limits(inputs.u_nominal, limits)
-        return MarginResult(self._qp.solve(wanted, np.array(a), np.array(b), (-limits, limits)))
+        lower = np.maximum(np.minimum(self._sent, 0.0) - self._growth, -limits)
+        upper = np.minimum(np.maximum(self._sent, 0.0) + self._growth, limits)
+        wanted = np.clip(scale_to_limits(inputs.u_nominal, limits), lower, upper)
+        self._sent = self._qp.solve(wanted, np.array(a), np.array(b), (lower, upper))
+        return MarginResult(self._sent)
 
     def _interpolate(self, point: np.ndarray):
         """h [m] and its gradient between the four nearest centres."""

@@ -4,8 +4,10 @@
 import contextlib
 import threading
 import time
+from xmlrpc.client import ServerProxy
 
 import numpy as np
+import rosgraph
 import rospy
 from control_support import make_grid
 from core_msgs.msg import SafetyGrid, UnsafeCause
@@ -32,7 +34,11 @@ def grid_to_msg(grid, stamp, constraints_stamp) -> SafetyGrid:
     message.h_m = grid.h_m.ravel().tolist()
     message.state = grid.state.tobytes()
     message.cause = grid.cause.ravel().tolist()
-    message.causes = [UnsafeCause(rule=cause.rule, class_name=cause.class_name) for cause in grid.causes]
+    message.causes = [
+        UnsafeCause(cause.rule, cause.class_name, cause.instance_id, UnsafeCause.MOBILE * cause.mobile)
+        for cause in grid.causes
+    ]
+    message.speed_cap_mps = [] if grid.speed_cap_mps is None else grid.speed_cap_mps.ravel().tolist()
     return message
 
 
@@ -43,11 +49,20 @@ def make_wall_msg(x_m, stamp, constraints_stamp, size_m=6.0) -> SafetyGrid:
     return grid_to_msg(make_grid(unsafe), stamp, constraints_stamp)
 
 
+def node_pid(name):
+    """Process number of a node."""
+    return ServerProxy(rosgraph.Master(rospy.get_name()).lookupNode(rospy.resolve_name(name))).getPid("/")[2]
+
+
 class RatePublisher:
-    """Publishes make() at a rate of wall time until stopped; stop unregisters, as a killed node would."""
+    """Publishes make() at a rate of wall time until stopped; stop unregisters, as a killed node would.
+
+    silent publishes nothing and stays registered, as a hung node would. last_sent_s is the wall time [s] of the newest.
+    """
 
     def __init__(self, topic, message_class, make, rate_hz):
         self.make, self._period_s = make, 1.0 / rate_hz
+        self.silent, self.last_sent_s = False, 0.0
         self._topic, self._message_class = topic, message_class
         self._stop = threading.Event()
         self.start()
@@ -67,7 +82,9 @@ class RatePublisher:
         # A topic that is closed means that the test is over.
         with contextlib.suppress(rospy.ROSException):
             while not self._stop.wait(self._period_s):
-                self._pub.publish(self.make())
+                if not self.silent:
+                    message, self.last_sent_s = self.make(), time.time()
+                    self._pub.publish(message)
 
 
 class Collector:

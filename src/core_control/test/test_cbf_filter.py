@@ -9,6 +9,7 @@ from control_support import CONE_LINE, Plant, make_field, make_inputs, make_para
 
 from core_control.barriers.half_planes import HalfPlaneBarrier
 from core_control.cbf_filter import CbfFilter
+from core_control.dynamics import compute_rotation
 from core_control.exceptions import SolverError
 from core_control.modes import ALL_REASONS, Reason
 from core_control.types import Mode
@@ -199,8 +200,13 @@ def test_switched_off_it_passes_the_command_into_the_wall_and_still_reports_h():
 
 
 def test_every_reason_is_a_stable_code():
-    assert len(ALL_REASONS) == 17
-    assert all(reason == reason.lower() and " " not in reason for reason in ALL_REASONS)
+    """Renaming a code breaks whoever reads cbf_filter/state; a new one is added here by its name."""
+    nominal = "waiting_for_nominal nominal_stale nominal_not_finite nominal_not_planar nominal_publishers"
+    grid = "grid_missing grid_stale grid_not_finite grid_malformed map_lost constraints_missing constraints_stale"
+    odometry = "odometry_missing odometry_stale odometry_not_finite frame_mismatch"
+    others = "solver_failed internal_error e_stop loop_overrun foreign_publisher deep_inside escape_failed"
+    assert set(ALL_REASONS) == set(" ".join([nominal, grid, odometry, others]).split())
+    assert len(set(ALL_REASONS)) == len(ALL_REASONS)
 
 
 def test_the_binding_place_and_its_cause_are_named():
@@ -235,8 +241,49 @@ def test_inside_only_motion_away_passes():
         np.testing.assert_allclose(result.u_safe, u_nominal if passes else np.zeros(3), atol=1e-6)
 
 
+def draw_inputs_inside(seed, count):
+    """Inputs at rest with the footprint on unsafe cells that were there before the robot."""
+    found = 0
+    for inputs, h_m in draw_inputs(seed, 40 * count):
+        if -1.0 < h_m < -0.01 and found < count:
+            found += 1
+            yield inputs
+
+
+def test_in_hold_the_robot_never_moves_by_itself():
+    filter_ = CbfFilter(make_params(underfoot_grids=0))
+    for inputs in draw_inputs_inside(5, 60):
+        filter_.reset()
+        result = filter_.step(replace(inputs, u_nominal=np.zeros(3)))
+        assert (result.mode, result.reason) == (Mode.HOLD, "")
+        np.testing.assert_array_equal(result.u_safe, np.zeros(3))
+
+
+def test_in_hold_what_passes_does_not_come_closer_and_a_way_out_passes():
+    """Small commands at rest, against the true clearance after them: the law, then both of its sides."""
+    filter_, passed, refused = CbfFilter(make_params(underfoot_grids=0)), 0, 0
+    for inputs in draw_inputs_inside(6, 60):
+        before = BARRIER.compute_clearance(inputs.field, inputs.pose)
+        outward = np.append(compute_rotation(inputs.pose[2]).T @ before.gradient, 0.0) * 0.05
+        for u, is_inward in ((outward, False), (-outward, True)):
+            filter_.reset()
+            plant, result = Plant(inputs.pose), filter_.step(replace(inputs, u_nominal=u))
+            plant.step(result.u_safe)
+            h_m = BARRIER.compute_clearance(inputs.field, plant.pose).h_m
+            if not is_exempt(filter_):
+                assert h_m > before.h_m - 1e-6
+                refused += is_inward and not np.any(result.u_safe)
+            passed += not is_inward and bool(np.any(result.u_safe))
+    assert passed > 20
+    assert refused > 10
+
+
+def is_exempt(filter_):
+    return len(filter_._keeper._underfoot) > 0
+
+
 def test_a_robot_inside_walks_out_and_never_deeper():
-    filter_, field = CbfFilter(PARAMS), make_wall(2.0)
+    filter_, field = CbfFilter(make_params(underfoot_grids=0)), make_wall(2.0)
     plant, depths_m = Plant((2.2, 0, 0.1)), []
     for _ in range(120):
         result = filter_.step(make_inputs((-0.3, 0.0, 0.0), field, plant.pose, plant.twist))

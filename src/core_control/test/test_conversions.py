@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import rospy
-from control_support import make_grid, make_inputs, make_params, make_random_mask, make_wall
+from control_support import AROUND_PERSON, make_grid, make_inputs, make_params, make_random_mask, make_wall
 from core_msgs.msg import FilterState, SafetyGrid, Tick
 from geometry_msgs.msg import Twist, TwistStamped, Vector3
 from nav_msgs.msg import Odometry
@@ -100,6 +100,27 @@ def test_grid_of_the_wrong_length_is_refused(name):
     setattr(message, name, getattr(message, name)[:-1])
     with pytest.raises(ValueError, match="11 entries, grid is 4 x 3"):
         grid_from_msg(message)
+
+
+@pytest.mark.parametrize("receive", [lambda m: over_the_wire(m, SafetyGrid), grid_over_numpy, lambda m: m])
+def test_speed_caps_come_through_and_may_be_left_out(receive):
+    caps_mps = np.array([[np.nan, 0.25, 0.0, np.nan], [0.5, np.nan, np.nan, np.nan]])
+    grid = make_grid(np.zeros((2, 4), bool), speed_cap_mps=caps_mps, causes=(AROUND_PERSON,))
+    back = grid_from_msg(receive(grid_to_msg(grid, rospy.Time(), rospy.Time())))
+    np.testing.assert_array_equal(back.speed_cap_mps, caps_mps)
+    assert back.causes == (AROUND_PERSON,)
+    none = receive(grid_to_msg(make_grid(np.zeros((2, 4), bool)), rospy.Time(), rospy.Time()))
+    assert grid_from_msg(none).speed_cap_mps is None
+
+
+@pytest.mark.parametrize("caps_mps", [[0.2] * 11, [0.2] * 13, [-0.1] + [0.2] * 11, [math.inf] * 12, [-math.inf] * 12])
+def test_speed_caps_that_make_no_sense_make_the_grid_malformed(caps_mps):
+    inputs, message = LatestInputs(), grid_to_msg(make_grid(np.zeros((3, 4), bool)), rospy.Time(), rospy.Time(1))
+    message.speed_cap_mps = caps_mps
+    inputs.store("grid", over_the_wire(message, SafetyGrid), 0.0)
+    read = inputs.read(0.0, 2.0)
+    assert (read.field, read.grid_problem[0]) == (None, Reason.GRID_MALFORMED)
+    assert "speed_cap_mps" in read.grid_problem[1]
 
 
 def test_state_says_what_the_filter_did():

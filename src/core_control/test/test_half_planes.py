@@ -102,7 +102,7 @@ def test_zero_is_always_allowed():
     for _, field, pose in draw_poses(3):
         rows = make_barrier().compute_rows(field, pose)
         assert np.all(rows.b <= 0.0)
-        assert len(rows) <= make_barrier().row_count
+        assert len(rows) <= 3 * make_barrier().rows_per_disc
 
 
 def test_rows_bound_the_shrinking_of_every_distance():

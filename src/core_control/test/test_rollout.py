@@ -79,3 +79,10 @@ def test_with_less_clearance_than_the_margin_only_retreat_passes():
     field, start = make_wall(2.0), (np.array([2.0 - FRONT_M + 0.1, 0.0, 0.0]), ZERO, [])
     assert make_roll_out().find_scale(field, start, np.array([0.1, 0.0, 0.0])) == 0.0
     assert make_roll_out().find_scale(field, start, np.array([-0.1, 0.0, 0.0])) == 1.0
+
+
+def test_a_robot_inside_a_region_may_leave_it_past_its_border():
+    field, out = make_wall(0.3), np.array([-0.3, 0.0, 0.0])
+    assert BARRIER.compute_clearance(field, ZERO).h_m < -0.31, "the centre of a disc is inside"
+    assert make_roll_out().find_scale(field, (ZERO, ZERO, []), out) == 1.0
+    assert make_roll_out().find_scale(field, (ZERO, ZERO, []), -out) == 0.0

@@ -93,6 +93,9 @@ def test_cause_of_a_cell():
         {"cause": np.zeros((4, 3), np.uint16)},
         {"state": np.full((3, 3), 7, np.uint8)},
         {"state": np.zeros((0, 3), np.uint8)},
+        {"speed_cap_mps": np.zeros((3, 4))},
+        {"speed_cap_mps": np.full((3, 3), -0.1)},
+        {"speed_cap_mps": np.full((3, 3), np.inf)},
     ],
 )
 def test_a_grid_that_contradicts_itself_is_refused(changes):

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What bench soundness counts, on cases with known answers, and a short run of every case of it."""
 
+import itertools
+
 import numpy as np
 import pytest
-from control_support import LENGTH_M, WIDTH_M, footprint_overlaps, make_field, make_random_mask
-from soundness_cases import CASES, CELL_M, CELLS, Excuses, KnownMap, Tally, find_overlapped, run_episode
+from control_support import LENGTH_M, WIDTH_M, Plant, footprint_overlaps, make_field, make_random_mask
+from soundness_cases import CASES, CELL_M, CELLS, Excuses, KnownMap, Tally, find_overlapped, make_filter, run_episode
+from soundness_shards import SHARD_EPISODES, ShardFile, compute_key, hash_sources
 
 HALF_M = (LENGTH_M / 2.0, WIDTH_M / 2.0)
 
@@ -46,7 +49,7 @@ class PassedOn:
 
 
 def test_the_design_of_comparison_keeps_out_too():
-    tally = run("footprint_lag", "core", reference=True)
+    tally = run("footprint_lag", "core", design="reference")
     assert tally.violating_steps == 0
     assert tally.passed > 0.2 * tally.steps
 
@@ -98,3 +101,49 @@ def test_hazards_of_a_revealed_map_appear_near_the_robot_and_stay():
     assert shares[0] < 0.7, "most of it is hidden at first"
     assert min(shares[-20:]) > 0.9, "what is near is known in the end, but for flicker"
     assert known.field.unsafe[truth][away_m > 6.0].mean() < 0.1, "what is far away is hidden"
+
+
+@pytest.mark.parametrize("case", ["footprint_lag", "revealed_map"])
+def test_an_episode_does_not_depend_on_those_before_it(case):
+    make_filter.cache_clear()
+    fresh = [run_episode(case, "core", seed, 60) for seed in (3, 4)]
+    assert [run_episode(case, "core", seed, 60) for seed in (4, 3)] == fresh[::-1]
+
+
+def test_a_predicted_stop_is_what_the_plant_does_without_commands():
+    plant = Plant(np.array([1.0, 2.0, 0.5]), 0.1, delay_ticks=2)
+    for _ in range(4):
+        plant.step(np.array([0.5, 0.2, 0.8]))
+    poses = plant.predict_stop()
+    np.testing.assert_array_equal(poses[0], plant.pose)
+    driven = np.concatenate([plant.step(np.zeros(3)) for _ in range(18)])
+    np.testing.assert_allclose(poses[1 : len(driven) + 1], driven[: len(poses) - 1], atol=1e-5)
+    assert np.linalg.norm(poses[-1] - driven[-1]) < 1e-3
+
+
+def test_shards_add_up_over_interrupted_runs(tmp_path):
+    path, one = tmp_path / "deep" / "core_point.jsonl", Tally(steps=500, passed=300, episodes=1, bad_seeds=[7])
+    shards = ShardFile(path)
+    for number in (0, 2):
+        shards.append(number, one)
+    with path.open("a") as stream:
+        stream.write('{"shard": 3, "steps": 5')
+    again = ShardFile(path)
+    assert again.tally == Tally(steps=1000, passed=600, episodes=2, bad_seeds=[7, 7])
+    assert list(itertools.islice(again.find_missing(), 3)) == [1, 3, 4]
+    again.append(1, one)
+    again.append(1, one)
+    assert ShardFile(path).tally.steps == again.tally.steps == 1500
+    assert SHARD_EPISODES >= 1
+
+
+def test_the_key_follows_the_code_and_not_its_comments(tmp_path):
+    a, b = tmp_path / "a.py", tmp_path / "b.py"
+    a.write_text("x = 1\n")
+    b.write_text("y = 2\n")
+    key = hash_sources([a, b])
+    a.write_text("# why\nx  =  1\n")
+    assert hash_sources([b, a]) == key
+    a.write_text("x = 2\n")
+    assert hash_sources([a, b]) != key
+    assert compute_key() == compute_key() != key

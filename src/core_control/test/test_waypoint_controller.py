@@ -8,7 +8,7 @@ import pytest
 from control_support import Plant
 
 from core_control.params import WaypointParams
-from core_control.waypoint_controller import Pid, WaypointController
+from core_control.waypoint_controller import Pid, WaypointController, is_inside_turn
 
 PERIOD_S = 0.05
 
@@ -119,3 +119,20 @@ def test_pid_is_the_sum_of_its_three_parts():
     pid = Pid(2.0, 1.0, 0.5, 10.0)
     assert pid.step(0.1, 0.1) == pytest.approx(2.0 * 0.1 + 1.0 * 0.01)
     assert pid.step(0.2, 0.1) == pytest.approx(2.0 * 0.2 + 1.0 * 0.03 + 0.5 * 1.0)
+
+
+@pytest.mark.parametrize("goal", [[3.0, 0.0], [-3.0, 0.5], [0.0, -3.0], [1.0, 1.0], [0.0, 0.8], [-0.5, 0.0]])
+def test_with_a_turning_radius_it_reaches_the_goal_on_arcs(goal):
+    poses, commands = run([goal], ticks=3000, min_turning_radius_m=1.0)
+    assert commands[-1].goal_reached
+    assert np.linalg.norm(poses[-1, :2] - goal) <= 0.2
+    u = np.array([command.u for command in commands])
+    assert u[:, 0].min() >= 0.0
+    assert np.all(1.0 * np.abs(u[:, 2]) <= u[:, 0] + 1e-12)
+
+
+def test_a_point_beside_the_robot_is_inside_the_turn_up_to_its_diameter():
+    assert is_inside_turn(1.99, math.pi / 2.0, 1.0)
+    assert not is_inside_turn(2.01, math.pi / 2.0, 1.0)
+    assert not is_inside_turn(0.1, 0.0, 1.0)
+    assert is_inside_turn(0.5, -math.pi / 6.0, 1.0)

@@ -181,7 +181,8 @@ DrawnFrame drawFrame(ByteSource* source, const ros::Time& stamp) {
                          0.0,
                          0.0,
                          1.0};
-  frame.p_map_base = {source->around(0.0, 4.0), source->around(0.0, 4.0)};
+  const double reach_m = source->pick(4) == 3 ? 40.0 : 4.0;  // beyond what a rolling window keeps
+  frame.p_map_base = {source->around(0.0, reach_m), source->around(0.0, reach_m)};
   frame.T_map_camera = makePose(frame.p_map_base.x, frame.p_map_base.y, source->around(0.0, 3.2));
   paintFloor(frame, &pixels);
   paintBoxes(source, &pixels);

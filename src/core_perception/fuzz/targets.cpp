@@ -27,6 +27,11 @@ SemanticMapParams drawParams(ByteSource* source) {
   put("match_distance_m", 1.0, 1.0);
   put("max_footprint_m", 1.1, 1.0);
   put("default_radius_m", 5.0, 5.0);
+  put("mobile_half_life_s", 2.0, 2.0);
+  put("mobile_release_s", 20.0, 20.0);
+  put("mobile_slack_m", 1.0, 1.0);
+  values["max_instances"] = ParamValue::ofInt(1 + static_cast<int>(source->pick(4)));
+  values["local_floor"] = ParamValue::ofBool(source->flag());
   values["count_cap"] = ParamValue::ofInt(static_cast<int>(source->pick(12)));
   values["min_points"] = ParamValue::ofInt(1 + static_cast<int>(source->pick(8)));
   values["min_frames"] = ParamValue::ofInt(1 + static_cast<int>(source->pick(3)));
@@ -47,6 +52,8 @@ Chain::Options drawOptions(ByteSource* source) {
   if (profile == 5) options.params.semantics = false;
   if (profile >= 6) options.params = drawParams(source);
   options.params.window_m = kWindow_m;
+  if (options.params.unknown_is_unsafe && source->flag())
+    options.params.window.keep_radius_m = kWindow_m;
   options.lockstep = source->flag();
   options.lens = static_cast<Lens>(source->pick(3));
   return options;
@@ -66,7 +73,7 @@ FrameMessages shareAll(const DrawnFrame& frame) {
   return messages;
 }
 
-ros::Time stampOf(uint32_t step) { return ros::Time(1, step * 100000000); }
+ros::Time stampOf(uint32_t period) { return ros::Time(1 + 0.1 * period); }
 
 Input drawInput(std::mt19937* random, size_t size) {
   Input input(size);
@@ -80,8 +87,10 @@ void runFrames(const uint8_t* data, size_t size, Tally* tally) {
   ByteSource source(data, size);
   Chain chain(drawOptions(&source), tally);
   const uint32_t n_steps = 1 + source.pick(4);
+  uint32_t period = 0;
   for (uint32_t step = 0; step < n_steps; ++step) {
-    const ros::Time stamp = stampOf(step);
+    const ros::Time stamp = stampOf(period);
+    period += source.pick(8) == 7 ? 100 : 1;  // what moves fades in a gap
     DrawnFrame frame = drawFrame(&source, stamp);
     for (uint32_t n = source.pick(4) % 3; n > 0; --n) spoilFrame(&source, &frame);
     FrameMessages messages = shareAll(frame);

@@ -117,19 +117,26 @@ void checkFrame(const Frame& frame) {
   checkPose(frame);
 }
 
+void makeMetres(const cv::Mat& depth, cv::Mat* metres) {
+  if (metres->size() == depth.size()) return;
+  // Rows that begin with a block lie well for vector instructions.
+  constexpr int left = kBlock_px, above = kDepthMargin_px;
+  const cv::Mat whole =
+      cv::Mat::zeros(depth.rows + 2 * above, blockEnd(depth.cols) + 2 * left, CV_32FC1);
+  *metres = whole(cv::Rect(left, above, depth.cols, depth.rows));
+}
+
+void convertRowToMetres(const cv::Mat& depth, int v, cv::Mat* metres) {
+  if (depth.type() == CV_16UC1) {
+    convertRow(depth.ptr<uint16_t>(v), 1000.0f, depth.cols, metres->ptr<float>(v));
+  } else {
+    convertRow(depth.ptr<float>(v), 1.0f, depth.cols, metres->ptr<float>(v));
+  }
+}
+
 void convertToMetres(const cv::Mat& depth, cv::Mat* metres) {
-  if (metres->size() != depth.size()) {
-    constexpr int m = kDepthMargin_px;
-    const cv::Mat whole = cv::Mat::zeros(depth.rows + 2 * m, depth.cols + 2 * m, CV_32FC1);
-    *metres = whole(cv::Rect(m, m, depth.cols, depth.rows));
-  }
-  for (int v = 0; v < depth.rows; ++v) {
-    if (depth.type() == CV_16UC1) {
-      convertRow(depth.ptr<uint16_t>(v), 1000.0f, depth.cols, metres->ptr<float>(v));
-    } else {
-      convertRow(depth.ptr<float>(v), 1.0f, depth.cols, metres->ptr<float>(v));
-    }
-  }
+  makeMetres(depth, metres);
+  for (int v = 0; v < depth.rows; ++v) convertRowToMetres(depth, v, metres);
 }
 
 }  // namespace core_perception

@@ -9,22 +9,12 @@ namespace {
 
 int floorDivide(double value, double step) { return static_cast<int>(std::floor(value / step)); }
 
-/// floor() of a value that fits an int; a comparison instead of a call, so that loops over it
-/// become vector instructions.
-inline int floorIndex(float value) {
-  const int truncated = static_cast<int>(value);
-  return truncated - static_cast<int>(value < static_cast<float>(truncated));
-}
-
 /// More than single precision is wrong by, in cells and in metres: 10 m in steps of 2^-20 m,
 /// through a handful of operations.
 constexpr float kUncertain = 5e-5f;
 
-/// Distance to the next whole number.
-inline float measureToBorder(float value, int floor) {
-  const float part = value - static_cast<float>(floor);
-  return std::min(part, 1.0f - part);
-}
+/// Distance from the middle between two whole numbers, of which floor is the lower one.
+inline float measureFromMiddle(float value, float floor) { return std::abs(value - floor - 0.5f); }
 
 }  // namespace
 
@@ -56,36 +46,40 @@ void FrameVotes::start(const Eigen::Vector3d& p_map_camera, double reach_m) {
 void FrameVotes::locate(const PointRow& row, const FloorBand& floor,
                         std::vector<int32_t>* voxels) const {
   voxels->resize(row.depth_m.size());
-  int32_t* result = voxels->data();
-  const float *depth = row.depth_m.data(), *dx = row.dx_m.data(), *dy = row.dy_m.data(),
-              *dz = row.dz_m.data();
+  const int begin = blockBegin(row.first);
+  const int n = blockEnd(row.end) - begin;
+  int32_t* result = voxels->data() + begin;
+  const float *depth = row.depth_m.data() + begin, *dx = row.dx_m.data() + begin,
+              *dy = row.dy_m.data() + begin, *dz = row.dz_m.data() + begin;
   const float scale = cells_per_m_, x0 = static_cast<float>(offset_.x()),
               y0 = static_cast<float>(offset_.y()), z0 = static_cast<float>(offset_.z());
-  const int bits = width_bits_, width = 1 << bits, layers = layers_, floor_layer = floor.layer,
-            end = row.end;
+  const int bits = width_bits_, layers = layers_, floor_layer = floor.layer;
+  const unsigned width = 1u << bits;
   const float camera_height = floor.camera_height_m, floor_min = floor.min_height_m,
               metric_min = floor.metric_min_height_m, slope = floor.metric_slope;
   // Written as one choice after the other: that is what compilers make vector instructions of.
-  for (int u = row.first; u < end; ++u) {
-    const float cell_x = x0 + dx[u] * scale, cell_y = y0 + dy[u] * scale;
-    const float cell_z = z0 + dz[u] * scale;
-    const int x = floorIndex(cell_x), y = floorIndex(cell_y), free_layer = floorIndex(cell_z);
-    const float height = camera_height + dz[u], floor_top = metric_min + slope * depth[u];
-    int z = height < floor_top ? floor_layer : free_layer;
-    z = height >= floor_min ? z : free_layer;
-    const float border_z =
-        std::min(measureToBorder(cell_z, free_layer),
-                 std::min(std::abs(height - floor_top), std::abs(height - floor_min)));
-    const float border =
-        std::min(border_z, std::min(measureToBorder(cell_x, x), measureToBorder(cell_y, y)));
+  for (int i = 0; i < n; ++i) {
+    const float cell_x = x0 + dx[i] * scale, cell_y = y0 + dy[i] * scale;
+    const float cell_z = z0 + dz[i] * scale;
+    const float low_x = std::floor(cell_x), low_y = std::floor(cell_y), low_z = std::floor(cell_z);
+    const float height = camera_height + dz[i], floor_top = metric_min + slope * depth[i];
+    const bool is_floor = (height < floor_top) & (height >= floor_min);
+    const int x = static_cast<int>(low_x), y = static_cast<int>(low_y);
+    const int z = is_floor ? floor_layer : static_cast<int>(low_z);
+    const float off_middle =
+        std::max(measureFromMiddle(cell_z, low_z),
+                 std::max(measureFromMiddle(cell_x, low_x), measureFromMiddle(cell_y, low_y)));
+    const float off_floor = std::min(std::abs(height - floor_top), std::abs(height - floor_min));
+    const bool is_undecided = (off_middle > 0.5f - kUncertain) | (off_floor < kUncertain);
     // As unsigned a negative index is a large one.
+    const auto xy = static_cast<unsigned>(x) | static_cast<unsigned>(y);
+    const bool is_inside =
+        (xy < width) & (static_cast<unsigned>(z) < static_cast<unsigned>(layers));
     const auto rows = (static_cast<unsigned>(z) << bits) + static_cast<unsigned>(y);
     int voxel = static_cast<int>((rows << bits) + static_cast<unsigned>(x));
-    voxel = static_cast<unsigned>(x) < static_cast<unsigned>(width) ? voxel : kNoVoxel;
-    voxel = static_cast<unsigned>(y) < static_cast<unsigned>(width) ? voxel : kNoVoxel;
-    voxel = static_cast<unsigned>(z) < static_cast<unsigned>(layers) ? voxel : kNoVoxel;
-    voxel = border < kUncertain ? kUndecided : voxel;
-    result[u] = depth[u] > 0.0f ? voxel : kNoVoxel;
+    voxel = is_inside ? voxel : kNoVoxel;
+    voxel = is_undecided ? kUndecided : voxel;
+    result[i] = depth[i] > 0.0f ? voxel : kNoVoxel;
   }
 }
 

@@ -7,31 +7,49 @@
 namespace core_perception {
 namespace {
 
-/// Takes zeros off both ends of [first, end); whole blocks at a time, as vector
-/// instructions look at them.
+/// Copies what lies within [nearest, farthest], 0 for the rest.
+/// @returns how many values do.
+int keepWithin(const float* in, float nearest, float farthest, int n, float* depth) {
+  int n_within = 0;
+  for (int i = 0; i < n; ++i) {
+    const float z = in[i];
+    const bool is_within = (z >= nearest) & (z <= farthest);
+    depth[i] = is_within ? z : 0.0f;
+    n_within += static_cast<int>(is_within);
+  }
+  return n_within;
+}
+
+/// out = (column + row) depth
+void scaleRays(const float* column, float row, const float* depth, int n, float* out) {
+  for (int i = 0; i < n; ++i) out[i] = (column[i] + row) * depth[i];
+}
+
+/// Whether so many values are 0; without a branch, as vector instructions look at them.
+template <int n>
+bool isZero(const float* values) {
+  int n_others = 0;
+  for (int i = 0; i < n; ++i) n_others += static_cast<int>(values[i] != 0.0f);
+  return n_others == 0;
+}
+
+/// Takes zeros off both ends of [first, end), so many at a time.
+template <int step>
 void trimZeros(const float* values, int* first, int* end) {
-  constexpr int kBlock = 32;
-  const auto isZero = [values](int begin) {
-    int n = 0;
-    for (int i = 0; i < kBlock; ++i) n += static_cast<int>(values[begin + i] != 0.0f);
-    return n == 0;
-  };
-  while (*end - *first >= kBlock && isZero(*first)) *first += kBlock;
-  while (*first < *end && values[*first] == 0.0f) ++*first;
-  while (*end - *first >= kBlock && isZero(*end - kBlock)) *end -= kBlock;
-  while (*end > *first && values[*end - 1] == 0.0f) --*end;
+  while (*end - *first >= step && isZero<step>(values + *first)) *first += step;
+  while (*end - *first >= step && isZero<step>(values + *end - step)) *end -= step;
 }
 
 /// Sets depth to 0 where one of the pixels this far to the right, left, below or above is nearer.
 /// Written without a branch: that is what compilers make vector instructions of.
 void dropBehindEdges(const float* in, std::ptrdiff_t right, std::ptrdiff_t down, float factor,
-                     const Run& pixels, float* depth) {
-  for (int u = pixels.first; u < pixels.end; ++u) {
-    const float limit = in[u] * factor, z = depth[u];
+                     int n, float* depth) {
+  for (int i = 0; i < n; ++i) {
+    const float limit = in[i] * factor, z = depth[i];
     const auto isNearer = [limit](float other) { return (other > 0.0f) & (other < limit); };
-    const bool is_behind = isNearer(in[u - right]) | isNearer(in[u + right]) |
-                           isNearer(in[u - down]) | isNearer(in[u + down]);
-    depth[u] = is_behind ? 0.0f : z;
+    const bool is_behind = isNearer(in[i - right]) | isNearer(in[i + right]) |
+                           isNearer(in[i - down]) | isNearer(in[i + down]);
+    depth[i] = is_behind ? 0.0f : z;
   }
 }
 
@@ -50,7 +68,7 @@ Projection::Projection(const Frame& frame, const RangeParams& range)
                                                 : 0.0f),
       reach_m_(range.range_max_m * computeLongestRay(camera_)) {
   for (std::vector<float>* array : {&column_x_, &column_y_, &column_z_})
-    array->resize(camera_.width_px);
+    array->resize(blockEnd(camera_.width_px));
   row_.reserve(camera_.height_px);
   for (int u = 0; u < camera_.width_px; ++u) {
     const Eigen::Vector3d ray = R_map_camera_.col(0) * ((u - camera_.cx_px) / camera_.fx_px);
@@ -78,30 +96,30 @@ Eigen::Vector3d Projection::computePoint(int u, int v, double depth_m) const {
 
 void Projection::projectRow(const cv::Mat& metres, int v, const Run& pixels, int edge_px,
                             PointRow* row) const {
-  if (row->depth_m.size() != static_cast<size_t>(metres.cols)) {
-    for (std::vector<float>* array : {&row->depth_m, &row->dx_m, &row->dy_m, &row->dz_m})
-      array->resize(metres.cols);
-  }
+  row->resize(metres.cols);
+  row->first = row->end = pixels.first;
   const float* in = metres.ptr<float>(v);
   float* depth = row->depth_m.data();
-  const float nearest = range_min_m_, farthest = range_max_m_;
-  int first = pixels.first, end = pixels.end;
-  for (int u = first; u < end; ++u) {
-    const float z = in[u];
-    depth[u] = (z >= nearest) & (z <= farthest) ? z : 0.0f;
-  }
+  const int begin = blockBegin(pixels.first);
+  const int n = blockEnd(pixels.end) - begin;
+  if (keepWithin(in + begin, range_min_m_, range_max_m_, n, depth + begin) == 0) return;
   const auto stride = static_cast<std::ptrdiff_t>(metres.step1());
   for (int d = 1; d <= edge_px && edge_factor_ > 0.0f; ++d)
-    dropBehindEdges(in, d, stride * d, edge_factor_, {first, end}, depth);
-  trimZeros(depth, &first, &end);
-  row->first = first;
-  row->end = end;
-  const float row_x = row_[v].x(), row_y = row_[v].y(), row_z = row_[v].z();
-  const float *x = column_x_.data(), *y = column_y_.data(), *z = column_z_.data();
-  float *dx = row->dx_m.data(), *dy = row->dy_m.data(), *dz = row->dz_m.data();
-  for (int u = first; u < end; ++u) dx[u] = (x[u] + row_x) * depth[u];
-  for (int u = first; u < end; ++u) dy[u] = (y[u] + row_y) * depth[u];
-  for (int u = first; u < end; ++u) dz[u] = (z[u] + row_z) * depth[u];
+    dropBehindEdges(in + begin, d, stride * d, edge_factor_, n, depth + begin);
+  row->end = pixels.end;
+  trimZeros<4 * kBlock_px>(depth, &row->first, &row->end);
+  trimZeros<kBlock_px>(depth, &row->first, &row->end);
+  trimZeros<1>(depth, &row->first, &row->end);
+  computePoints(v, row);
+}
+
+void Projection::computePoints(int v, PointRow* row) const {
+  const int begin = blockBegin(row->first);
+  const int n = blockEnd(row->end) - begin;
+  const float* depth = row->depth_m.data() + begin;
+  scaleRays(column_x_.data() + begin, row_[v].x(), depth, n, row->dx_m.data() + begin);
+  scaleRays(column_y_.data() + begin, row_[v].y(), depth, n, row->dy_m.data() + begin);
+  scaleRays(column_z_.data() + begin, row_[v].z(), depth, n, row->dz_m.data() + begin);
 }
 
 }  // namespace core_perception

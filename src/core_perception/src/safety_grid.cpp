@@ -94,18 +94,27 @@ void GridComposer::fillUnknown(const InitialDisc& disc, int x, int y, uint16_t c
 }
 
 void GridComposer::paintRegion(const Region& region) {
-  if (region.slow) {
-    const float none = std::numeric_limits<float>::quiet_NaN();
-    if (grid_.speed_cap_mps.empty()) grid_.speed_cap_mps.assign(grid_.state.size(), none);
-    forEachCell(region, grid_.frame, [this](size_t i) {
-      grid_.speed_cap_mps[i] = static_cast<float>(params_.slow_speed_mps);
+  // A region far away has no cell in the window, and its cause no reader.
+  bool added = false;
+  uint16_t cause = kNoCause;
+  const auto find_cause = [&] {
+    if (!added) cause = addCause(region.cause);
+    added = true;
+    return cause;
+  };
+  if (!region.slow) {
+    forEachCell(region, grid_.frame, [&](size_t i) {
+      grid_.state[i] = CellState::kUnsafe;
+      grid_.cause[i] = find_cause();
     });
     return;
   }
-  const uint16_t cause = addCause(region.cause);
-  forEachCell(region, grid_.frame, [this, cause](size_t i) {
-    grid_.state[i] = CellState::kUnsafe;
-    grid_.cause[i] = cause;
+  const float none = std::numeric_limits<float>::quiet_NaN();
+  if (grid_.speed_cap_mps.empty()) grid_.speed_cap_mps.assign(grid_.state.size(), none);
+  forEachCell(region, grid_.frame, [&](size_t i) {
+    grid_.speed_cap_mps[i] = static_cast<float>(params_.slow_speed_mps);
+    // What closes a cell is told first.
+    if (grid_.cause[i] == kNoCause) grid_.cause[i] = find_cause();
   });
 }
 

@@ -72,7 +72,8 @@ const SafetyGrid& SemanticMap::update(const Frame& frame, const Constraints& con
     nameRules();
   }
   mark(Stage::kOperators);
-  convertToMetres(frame.depth, &metres_);
+  makeMetres(frame.depth, &metres_);
+  if (!vote || params_.range.local_floor) convertToMetres(frame.depth, &metres_);
   if (params_.range.local_floor) floor_.update(metres_, projection, frame.p_map_base);
   frame_votes_.start(projection.p_map_camera(), projection.reach_m());
   if (vote) collectVotes(frame, projection);

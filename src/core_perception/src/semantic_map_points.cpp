@@ -8,15 +8,18 @@
 namespace core_perception {
 namespace {
 
-/// changes[u] = 1 where one of the values differs from that of u - 1, else 0, for u in (first,
-/// end).
-void markChanges(const int32_t* voxels, const uint16_t* labels, const uint8_t* regions,
-                 const Run& pixels, uint8_t* changes) {
-  for (int u = pixels.first + 1; u < pixels.end; ++u) {
-    const bool changed = (voxels[u] != voxels[u - 1]) | (labels[u] != labels[u - 1]) |
-                         (regions[u] != regions[u - 1]);
-    changes[u] = static_cast<uint8_t>(changed);
-  }
+/// changes[u] = 1 where a value differs from that of u - 1, else 0, for u in (first, end).
+template <typename T>
+void markChanges(const T* values, const Run& pixels, uint8_t* changes) {
+  for (int u = pixels.first + 1; u < pixels.end; ++u)
+    changes[u] = static_cast<uint8_t>(values[u] != values[u - 1]);
+}
+
+/// Adds those of further values.
+template <typename T>
+void addChanges(const T* values, const Run& pixels, uint8_t* changes) {
+  for (int u = pixels.first + 1; u < pixels.end; ++u)
+    changes[u] = static_cast<uint8_t>(changes[u] | (values[u] != values[u - 1]));
 }
 
 }  // namespace
@@ -56,7 +59,13 @@ void SemanticMap::addObjectPoints(const Projection& projection, const Run& pixel
 
 void SemanticMap::collectVotes(const Frame& frame, const Projection& projection) {
   const FloorBand floor = makeFloorBand(projection);
+  const bool is_converted = params_.range.local_floor;
+  const auto convert = [&frame, is_converted, this](int v) {
+    if (!is_converted && v < metres_.rows) convertRowToMetres(frame.depth, v, &metres_);
+  };
+  convert(0);
   for (int v = 0; v < metres_.rows; ++v) {
+    convert(v + 1);  // edges are looked for one row ahead
     projectRow(projection, v, {0, metres_.cols}, 1);
     if (row_.first < row_.end) voteRow(frame, projection, floor, v);
   }
@@ -87,30 +96,31 @@ void SemanticMap::voteRow(const Frame& frame, const Projection& projection, cons
   const uint16_t* labels = frame.labels.ptr<uint16_t>(v);
   const uint8_t* regions = by_image_ ? regions_.image().ptr<uint8_t>(v) : nullptr;
   const int n_runs = splitRow(labels, regions);
-  const bool all_safe = !params_.semantics;
+  const int *starts = run_starts_.data(), *voxels = voxels_.data();
+  const uint8_t* differs = differs_.data();
+  PixelVote vote;
   for (int i = 0; i < n_runs; ++i) {
-    const int first = run_starts_[i], end = run_starts_[i + 1];
-    const int32_t voxel = voxels_[first];
-    if (voxel == FrameVotes::kNoVoxel) continue;
-    const LabelMeaning& meaning = meanings_[labels[first]];
-    const uint8_t region = by_image_ ? regions[first] : kNoRegion;
-    const uint16_t rule = region_causes_[region];
-    const bool safe = all_safe || (by_image_ ? region == kSafeRegion : meaning.safe);
-    const uint8_t metric = metric_[first];
-    // A drop counts by the majority of a voxel: on glossy floor some points are reflections.
-    const VoteKind kind = metric == kObstacle   ? kMetricVote
-                          : safe && metric == 0 ? kSafeVote
-                                                : kUnsafeVote;
-    const uint16_t cause = metric != 0        ? meaning.metric_cause
-                           : rule != kNoCause ? rule
-                                              : meaning.cause;
-    if (voxel != FrameVotes::kUndecided) {
-      frame_votes_.add(voxel, kind, static_cast<uint32_t>(end - first), cause);
-      continue;
+    const int first = starts[i], end = starts[i + 1], voxel = voxels[first];
+    if (differs[first] != 0)
+      vote = makeVote(labels[first], by_image_ ? regions[first] : kNoRegion, metric_[first]);
+    if (voxel >= 0) {
+      frame_votes_.add(voxel, vote.kind, static_cast<uint32_t>(end - first), vote.cause);
+    } else if (voxel == FrameVotes::kUndecided) {
+      for (int u = first; u < end; ++u)
+        frame_votes_.add(locateExactly(frame, projection, floor, u, v), vote.kind, 1, vote.cause);
     }
-    for (int u = first; u < end; ++u)
-      frame_votes_.add(locateExactly(frame, projection, floor, u, v), kind, 1, cause);
   }
+}
+
+SemanticMap::PixelVote SemanticMap::makeVote(uint16_t label, uint8_t region, uint8_t metric) const {
+  const LabelMeaning& meaning = meanings_[label];
+  const bool safe = !params_.semantics || (by_image_ ? region == kSafeRegion : meaning.safe);
+  PixelVote vote;
+  // A drop counts by the majority of a voxel: on glossy floor some points are reflections.
+  vote.kind = metric == kObstacle ? kMetricVote : safe && metric == 0 ? kSafeVote : kUnsafeVote;
+  const uint16_t rule = region_causes_[region];
+  vote.cause = metric != 0 ? meaning.metric_cause : rule != kNoCause ? rule : meaning.cause;
+  return vote;
 }
 
 /// Which points of row_ lie in the metric band (kObstacle), or as far below the local floor as an
@@ -135,16 +145,21 @@ void SemanticMap::findMetric(const FloorBand& floor) {
   }
 }
 
-/// Splits row_ into runs of pixels that vote alike for one voxel; neighbours mostly do.
+/// Splits row_ into runs of pixels that vote alike for one voxel; neighbours mostly do. differs_
+/// tells of the first pixel of a run whether it votes otherwise than the run before it.
 /// @returns the number of runs in run_starts_; the end of the last one follows them.
 int SemanticMap::splitRow(const uint16_t* labels, const uint8_t* regions) {
   const int first = row_.first, end = row_.end;
+  const Run pixels{first, end};
+  differs_.resize(row_.depth_m.size());
   changes_.resize(row_.depth_m.size());
-  uint8_t* changes = changes_.data();
-  const uint8_t* metric = metric_.data();
-  markChanges(voxels_.data(), labels, by_image_ ? regions : metric, {first, end}, changes);
-  for (int u = first + 1; u < end && by_image_ && params_.vote.metric_layer; ++u)
-    changes[u] |= static_cast<uint8_t>(metric[u] != metric[u - 1]);
+  uint8_t *differs = differs_.data(), *changes = changes_.data();
+  markChanges(labels, pixels, differs);
+  if (by_image_) addChanges(regions, pixels, differs);
+  if (params_.vote.metric_layer) addChanges(metric_.data(), pixels, differs);
+  differs[first] = 1;
+  markChanges(voxels_.data(), pixels, changes);
+  for (int u = first + 1; u < end; ++u) changes[u] = static_cast<uint8_t>(changes[u] | differs[u]);
   run_starts_.resize(changes_.size() + 1);
   int* starts = run_starts_.data();
   int n = 0;

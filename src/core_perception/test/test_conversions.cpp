@@ -377,6 +377,20 @@ TEST(GridUpdate, grid_with_its_updates_equals_the_next_grid) {
   }
 }
 
+TEST(Probability, is_one_in_regions_that_close_a_cell_and_that_of_the_votes_in_slow_ones) {
+  SafetyGrid grid;
+  grid.frame.width = 4;
+  grid.frame.height = 1;
+  grid.n_safe = {3, 3, 0, 0};
+  grid.n_unsafe = {1, 1, 0, 0};
+  grid.state = {CellState::kUnsafe, CellState::kSafe, CellState::kUnknown, CellState::kUnknown};
+  grid.cause = {0, 1, 1, kNoCause};
+  grid.causes = {Cause{"AROUND(person)", "person", 7, true},
+                 Cause{"AROUND(forklift)", "forklift", 8, true}};
+  const nav_msgs::OccupancyGrid message = probabilityToMessage(grid, std_msgs::Header());
+  EXPECT_EQ(message.data, (std::vector<int8_t>{100, 25, -1, -1}));
+}
+
 }  // namespace
 }  // namespace core_perception
 

@@ -420,7 +420,7 @@ TEST(SemanticMap, slow_region_within_a_barrier_and_around_it_caps_the_speed_what
     EXPECT_LT(grid.h_m[indexAt(grid, 3.5, 0.7)], 0.0f);
     EXPECT_FLOAT_EQ(grid.speed_cap_mps[indexAt(grid, 3.5, 0.7)], 0.2f);
     EXPECT_EQ(stateAt(grid, 3.1, -0.3), CellState::kSafe);
-    EXPECT_EQ(ruleAt(grid, 3.1, -0.3), "");
+    EXPECT_EQ(ruleAt(grid, 3.1, -0.3), "AROUND(person)");
     EXPECT_FLOAT_EQ(grid.speed_cap_mps[indexAt(grid, 3.1, -0.3)], 0.2f);
     EXPECT_EQ(stateAt(grid, 3.9, 0.1), CellState::kUnsafe) << "the person stands there";
     EXPECT_TRUE(std::isnan(grid.speed_cap_mps[indexAt(grid, 2.1, 0.1)]));
@@ -464,6 +464,25 @@ TEST(SemanticMap, cause_tells_whether_what_is_behind_it_moves) {
   for (const auto& entry : expected) {
     ASSERT_EQ(mobile.count(entry.first), 1u) << entry.first;
     EXPECT_EQ(mobile[entry.first], entry.second) << entry.first;
+  }
+}
+
+TEST(SemanticMap, a_region_outside_the_window_leaves_no_cause_in_the_grid) {
+  Scene scene;
+  scene.cylinders = {{"person", {5.0, 0.0}}};
+  Constraints rules = makeConeRules();
+  rules.predicates.push_back(
+      makePredicate(SpatialOperator::kAround, "person", Verdict::kUnsafe, 1.0));
+  for (const double size_m : {12.0, 4.0}) {
+    SemanticMapParams params;
+    params.window_m = size_m;
+    SemanticMap map{params};
+    for (int k = 1; k <= 3; ++k) map.update(scene.render(k * kPeriod_s, 0.0, 0.0, 0.0), rules);
+    const std::vector<Cause>& causes = map.grid().causes;
+    const auto around = std::count_if(causes.begin(), causes.end(), [](const Cause& cause) {
+      return cause.rule == "AROUND(person)";
+    });
+    EXPECT_EQ(around, size_m > 10.0 ? 1 : 0);
   }
 }
 

@@ -34,13 +34,14 @@ void addFrame(const std::vector<Pixels>& pixels, VoteMap* map,
   FrameVotes votes(0.2, -1.0, 3.0);
   votes.start(Eigen::Vector3d(0.1, 0.1, 0.1), 5.0);
   PointRow row;
+  row.resize(static_cast<int>(pixels.size()));
   for (const Pixels& p : pixels) {
-    row.depth_m.push_back(1.0f);
-    row.dx_m.push_back(static_cast<float>(p.x_m - 0.1));
-    row.dy_m.push_back(static_cast<float>(p.y_m - 0.1));
-    row.dz_m.push_back(static_cast<float>(p.z_m - 0.1));
+    row.depth_m[row.end] = 1.0f;
+    row.dx_m[row.end] = static_cast<float>(p.x_m - 0.1);
+    row.dy_m[row.end] = static_cast<float>(p.y_m - 0.1);
+    row.dz_m[row.end] = static_cast<float>(p.z_m - 0.1);
+    ++row.end;
   }
-  row.end = static_cast<int>(pixels.size());
   std::vector<int32_t> voxels;
   votes.locate(row, FloorBand(), &voxels);
   for (size_t i = 0; i < pixels.size(); ++i) {

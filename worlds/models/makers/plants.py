@@ -54,7 +54,7 @@ def make_conifer(folder):
     """Write a conifer of 3 x 3 x 5 m."""
     atlas, mesh = _atlas(make_rng(42), (42, 88, 58)), Mesh()
     add_tube(mesh, [(0, 0, 0), (0, 0, 1.2)], [0.17, 0.13], atlas.patch("bark"), sides=7, caps="none")
-    for low, high, radius in ((0.75, 2.3, 1.5), (1.65, 3.2, 1.22), (2.55, 4.1, 0.92), (3.4, 5.0, 0.60)):
+    for low, high, radius in ((1.0, 2.3, 1.5), (1.65, 3.2, 1.22), (2.55, 4.1, 0.92), (3.4, 5.0, 0.60)):
         path, radii = [(0, 0, low), (0, 0, 0.5 * (low + high)), (0, 0, high)], [radius, 0.45 * radius, 0.02]
         add_tube(mesh, path, radii, atlas.patch("leaves"), sides=10, caps="start")
     mesh.fit((3.0, 3.0, 5.0))

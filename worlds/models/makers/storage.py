@@ -149,7 +149,7 @@ def _load_level(mesh, rng, half_m, level, hidden):
     """Put two pallets on one level, each with one block of cartons."""
     (x, y), (level_m, room_m) = half_m, level
     pallet_high = level_m + 0.12
-    mesh.add_box((-x + 0.1, -y + 0.06, level_m), (x - 0.1, y - 0.06, pallet_high), RACK_PATCHES["wood"], "xXz" + hidden)
+    mesh.add_box((-x + 0.1, -y + 0.06, level_m), (x - 0.1, y - 0.06, pallet_high), RACK_PATCHES["wood"], "z" + hidden)
     for low_x, high_x in ((-x + 0.13, -0.04), (0.04, x - 0.13)):
         low_x, high_x = low_x + rng.uniform(0.0, 0.05), high_x - rng.uniform(0.0, 0.05)
         top, inset = pallet_high + room_m * rng.uniform(0.66, 0.90), rng.uniform(0.08, 0.13)

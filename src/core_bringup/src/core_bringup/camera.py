@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,14 @@ class CameraModel:
     cy_px: float = 160.0
     near_m: float = 0.05
     far_m: float = 30.0
+
+    def compute_horizontal_fov(self) -> float:
+        """Horizontal opening [rad] that is in view on both sides of the axis.
+
+        fov = 2 atan(min(cx + 1/2, width - 1/2 - cx) / fx)
+        """
+        narrower_px = min(self.cx_px + 0.5, self.width_px - 0.5 - self.cx_px)
+        return 2.0 * math.atan(narrower_px / self.fx_px)
 
 
 @dataclass(frozen=True)

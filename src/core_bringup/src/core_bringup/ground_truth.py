@@ -11,12 +11,11 @@ import numpy as np
 
 from core_bringup.motion import Poses
 from core_bringup.polygons import rectangle
-from core_bringup.regions import NO_POSES, object_clearance_m, object_place, region_clearance_m, region_contains
+from core_bringup.regions import object_clearance_m, region_clearance_m, region_contains
+from core_bringup.touched import NO_POSES, ROBOT_HEIGHT_M, is_obstacle, object_place
 from core_bringup.world_types import UnsafeRegion, WorldObject
 
 __all__ = ["ROBOT_HEIGHT_M", "GroundTruth", "GroundTruthState", "object_clearance_m"]
-
-ROBOT_HEIGHT_M = 0.8  # what hangs higher is no obstacle
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,8 @@ class GroundTruth:
 
     Args:
         regions: true unsafe regions of the task, of a world made by World.for_task or vary_world.
-        objects: objects of the world; those that are not solid or hang above ROBOT_HEIGHT_M are left out.
+        objects: objects of the world; those that are not solid or hang above ROBOT_HEIGHT_M are left out, as are
+            such parts of them.
         length_m, width_m: footprint, centred on base_link, length along its x axis.
 
     Raises:
@@ -53,7 +53,7 @@ class GroundTruth:
             if region.object_name is not None and region.item is None:
                 raise ValueError(f"region {region.name}: its object {region.object_name} is not resolved (for_task)")
         self._regions = tuple(regions)
-        self._obstacles = [item for item in objects if item.solid and item.position_m[2] < ROBOT_HEIGHT_M]
+        self._obstacles = [item for item in objects if is_obstacle(item)]
         self._centers_m = np.array([item.position_m[:2] for item in self._obstacles]).reshape(-1, 2)
         self._radii_m = np.array([0.5 * np.hypot(*item.collision_size_m[:2]) for item in self._obstacles])
         self._index = {item.id: i for i, item in enumerate(self._obstacles)}

@@ -21,6 +21,39 @@ def rectangle(center_m: np.ndarray, yaw_rad: float, length_m: float, width_m: fl
     return np.asarray(center_m, dtype=float) + half @ np.array([[c, s], [-s, c]])
 
 
+def convex_hull(points_m: np.ndarray) -> np.ndarray:
+    """Corners (k, 2), counter-clockwise from the leftmost, of the convex hull of points (n, 2) that lie on no line.
+
+    A point within rounding of the line between two corners is no corner.
+    Source: Andrew, Another efficient algorithm for convex hulls in two dimensions, IPL 9(5), 1979.
+    """
+    points = np.unique(np.asarray(points_m, dtype=float), axis=0)
+    chains = []
+    for ordered in (points, points[::-1]):
+        chain: list = []
+        for point in ordered:
+            while len(chain) > 1 and _cross(chain[-1] - chain[-2], point - chain[-1]) <= _TOUCH_AREA_M2:
+                chain.pop()
+            chain.append(point)
+        chains += chain[:-1]
+    return np.array(chains)
+
+
+def grow_convex(polygon_m: np.ndarray, radius_m: float, steps: int) -> np.ndarray:
+    """Outline (k, 2) of the points within a distance of a convex counter-clockwise polygon (n, 2).
+
+    Arcs become inscribed polygons, with that many sides in a full turn.
+    """
+    edges = np.roll(polygon_m, -1, axis=0) - polygon_m
+    after = np.arctan2(-edges[:, 0], edges[:, 1])  # direction of the outward normal of the edge that follows a corner
+    turns = np.mod(after - np.roll(after, 1), 2.0 * np.pi)
+    grown = []
+    for corner, end, turn in zip(polygon_m, after, turns):
+        angles = end - turn * np.linspace(1.0, 0.0, int(np.ceil(turn / (2.0 * np.pi) * steps - 1e-9)) + 1)
+        grown.append(corner + radius_m * np.column_stack([np.cos(angles), np.sin(angles)]))
+    return np.concatenate(grown)
+
+
 def is_convex_ccw(polygon_m: np.ndarray) -> bool:
     """Whether a polygon (n, 2) turns strictly left at every vertex and goes round once."""
     edges = np.roll(polygon_m, -1, axis=0) - polygon_m

@@ -16,6 +16,7 @@ from core_bringup.exceptions import BringupError
 from core_bringup.face_painter import FacePainter
 from core_bringup.quadruped.kinematics import JOINT_NAMES
 from core_bringup.robot import RobotConfig
+from core_bringup.touched import touched_boxes_m
 from core_bringup.world_types import Surface, World, WorldObject
 
 _PATCH_DEPTH_M = 0.05
@@ -240,13 +241,16 @@ class PybulletScene:
         )
 
     def _create_collision(self, item: WorldObject) -> int:
-        half_m = _floats(0.5 * item.collision_size_m)
-        place = {"collisionFramePosition": (0.0, 0.0, half_m[2]), "physicsClientId": self._client}
+        client = {"physicsClientId": self._client}
         if item.collision == "cylinder":
-            return pybullet.createCollisionShape(
-                pybullet.GEOM_CYLINDER, radius=half_m[0], height=2.0 * half_m[2], **place
-            )
-        return pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half_m, **place)
+            radius, _, height = _floats(item.collision_size_m * [0.5, 0.5, 1.0])
+            place = (0.0, 0.0, 0.5 * height)
+            shape = {"radius": radius, "height": height, "collisionFramePosition": place}
+            return pybullet.createCollisionShape(pybullet.GEOM_CYLINDER, **shape, **client)
+        low_m, high_m = np.hsplit(touched_boxes_m(item), 2)
+        half_m, middle_m = (0.5 * (high_m - low_m)).tolist(), (0.5 * (low_m + high_m)).tolist()
+        kinds = [pybullet.GEOM_BOX] * len(half_m)
+        return pybullet.createCollisionShapeArray(kinds, halfExtents=half_m, collisionFramePositions=middle_m, **client)
 
     def _create_visual(self, item: WorldObject, half_height: float) -> Tuple[int, Optional[Path]]:
         """Visual shape, and the texture that is still to be put on its body."""

@@ -3,29 +3,21 @@
 
 from __future__ import annotations
 
-from typing import Tuple
-
 import numpy as np
 
 from core_bringup.motion import Poses
 from core_bringup.polygons import (
     contains_point,
+    grow_convex,
     is_convex_ccw,
     point_distance_m,
     polygon_area_m2,
-    rectangle,
     signed_clearance_m,
 )  # fmt: skip
+from core_bringup.touched import NO_POSES, object_hull_m, object_outlines_m, object_place
 from core_bringup.world_types import UnsafeRegion, WorldObject
 
 _ARC_STEPS = 64  # corners of a drawn circle
-NO_POSES: Poses = {}
-
-
-def object_place(item: WorldObject, poses: Poses = NO_POSES) -> Tuple[np.ndarray, float]:
-    """Ground place (2,) [m] and heading [rad] of an object, among poses where it moves."""
-    position_m, yaw_rad = poses.get(item.id, (item.position_m, item.yaw_rad))
-    return np.asarray(position_m, dtype=float)[:2], yaw_rad
 
 
 def region_clearance_m(region: UnsafeRegion, footprint_m: np.ndarray, poses: Poses = NO_POSES) -> float:
@@ -35,7 +27,9 @@ def region_clearance_m(region: UnsafeRegion, footprint_m: np.ndarray, poses: Pos
     if region.center_m is not None:
         return point_clearance_m(footprint_m, region.center_m) - region.radius_m
     # Growing a convex outline by r moves its border outwards by r everywhere, seen from inside as from outside.
-    return object_clearance_m(footprint_m, region.item, poses) - region.radius_m
+    if region.item.collision == "cylinder":
+        return object_clearance_m(footprint_m, region.item, poses) - region.radius_m
+    return signed_clearance_m(footprint_m, object_hull_m(region.item, poses)) - region.radius_m
 
 
 def region_contains(region: UnsafeRegion, point_m: np.ndarray, poses: Poses = NO_POSES) -> bool:
@@ -45,11 +39,10 @@ def region_contains(region: UnsafeRegion, point_m: np.ndarray, poses: Poses = NO
         return contains_point(_counter_clockwise(region.polygon_m), point_m)
     if region.center_m is not None:
         return bool(np.linalg.norm(point_m - region.center_m) <= region.radius_m)
-    center_m, yaw_rad = object_place(region.item, poses)
-    size_m = region.item.collision_size_m
     if region.item.collision == "cylinder":
-        return bool(np.linalg.norm(point_m - center_m) <= 0.5 * size_m[0] + region.radius_m)
-    outline = rectangle(center_m, yaw_rad, size_m[0], size_m[1])
+        center_m, _ = object_place(region.item, poses)
+        return bool(np.linalg.norm(point_m - center_m) <= _round_radius_m(region))
+    outline = object_hull_m(region.item, poses)
     return contains_point(outline, point_m) or point_distance_m(outline, point_m) <= region.radius_m
 
 
@@ -64,26 +57,21 @@ def region_outline_m(region: UnsafeRegion, poses: Poses = NO_POSES) -> np.ndarra
         return _counter_clockwise(np.asarray(region.polygon_m, dtype=float))
     if region.center_m is not None:
         return _circle(region.center_m, region.radius_m)
-    center_m, yaw_rad = object_place(region.item, poses)
-    size_m = region.item.collision_size_m
     if region.item.collision == "cylinder":
-        return _circle(center_m, 0.5 * size_m[0] + region.radius_m)
-    angles = np.linspace(0.0, 0.5 * np.pi, _ARC_STEPS // 4 + 1)
-    arc = region.radius_m * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    corners = rectangle(np.zeros(2), 0.0, size_m[0], size_m[1])
-    turns = (2, 3, 0, 1)  # quarter turns of the arc at each corner, from the lower left one on
-    rounded = np.concatenate([corner + arc @ _quarter_turns(k) for corner, k in zip(corners, turns)])
-    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
-    return center_m + rounded @ np.array([[c, s], [-s, c]])
+        return _circle(object_place(region.item, poses)[0], _round_radius_m(region))
+    return grow_convex(object_hull_m(region.item, poses), region.radius_m, _ARC_STEPS)
 
 
 def object_clearance_m(footprint_m: np.ndarray, item: WorldObject, poses: Poses = NO_POSES) -> float:
-    """Signed clearance between a convex footprint (n, 2) and the collision outline of an object."""
-    center_m, yaw_rad = object_place(item, poses)
-    size_m = item.collision_size_m
+    """Signed clearance between a convex footprint (n, 2) and what is touched of an object below ROBOT_HEIGHT_M.
+
+    Of one made of parts: the least of theirs, so where they overlap the depth in the deepest of them. +inf without any.
+    """
     if item.collision == "cylinder":
-        return point_clearance_m(footprint_m, center_m) - 0.5 * float(size_m[0])
-    return signed_clearance_m(footprint_m, rectangle(center_m, yaw_rad, size_m[0], size_m[1]))
+        center_m, _ = object_place(item, poses)
+        return point_clearance_m(footprint_m, center_m) - 0.5 * float(item.collision_size_m[0])
+    outlines_m = object_outlines_m(item, poses)
+    return min((signed_clearance_m(footprint_m, outline_m) for outline_m in outlines_m), default=np.inf)
 
 
 def point_clearance_m(footprint_m: np.ndarray, point_m: np.ndarray) -> float:
@@ -97,10 +85,8 @@ def _circle(center_m: np.ndarray, radius_m: float) -> np.ndarray:
     return np.asarray(center_m, dtype=float) + radius_m * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
-def _quarter_turns(count: int) -> np.ndarray:
-    """Matrix that turns row vectors by count quarters, counter-clockwise."""
-    c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[count]
-    return np.array([[c, s], [-s, c]], dtype=float)
+def _round_radius_m(region: UnsafeRegion) -> float:
+    return 0.5 * float(region.item.collision_size_m[0]) + region.radius_m
 
 
 def _counter_clockwise(polygon_m: np.ndarray) -> np.ndarray:

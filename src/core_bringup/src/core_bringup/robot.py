@@ -1,35 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The robot file: footprint, command limits, camera and legs of one kind of robot."""
+"""The robot file: footprint, command limits, kinematics, camera and legs of one kind of robot."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Union
 
+from core_bringup.base_config import BaseConfig
 from core_bringup.camera import CameraModel
 from core_bringup.camera_mount import CameraMount
 from core_bringup.exceptions import ConfigError
 from core_bringup.quadruped.model import build_urdf
-from core_bringup.quadruped.params import QuadrupedParams, read_section, section
-from core_bringup.yaml_source import YamlSource
-
-
-@dataclass(frozen=True)
-class Footprint:
-    """Rectangle around the robot, centred on base_link, that nothing of a normal walk leaves."""
-
-    length_m: float
-    width_m: float
-
-
-@dataclass(frozen=True)
-class CommandLimits:
-    """Largest magnitudes of a body velocity command; larger ones are clipped by the controller."""
-
-    forward_mps: float
-    sideways_mps: float
-    yaw_radps: float
+from core_bringup.quadruped.params import QuadrupedParams, section
 
 
 @dataclass(frozen=True)
@@ -42,36 +23,20 @@ class CameraConfig:
 
 
 @dataclass(frozen=True)
-class RobotConfig:
-    """A robot file that passed every check."""
+class RobotConfig(BaseConfig):
+    """A robot file that passed every check, for the simulator: with a camera and four legs."""
 
-    name: str
-    footprint: Footprint = section(Footprint)
-    limits: CommandLimits = section(CommandLimits)
     camera: CameraConfig = section(CameraConfig)
     quadruped: QuadrupedParams = section(QuadrupedParams)
 
-    @classmethod
-    def load(cls, path: Union[str, Path]) -> RobotConfig:
-        """Read and check a robot file.
-
-        Args:
-            path: YAML file, see config/robots/spot_like.yaml for every key with its unit.
-
-        Returns:
-            RobotConfig.
-
-        Raises:
-            ConfigError: no such file, no YAML, or a wrong, missing, repeated or unknown key.
-        """
-        return cls.from_dict(YamlSource(path).data, str(path))
-
-    @classmethod
-    def from_dict(cls, data: Any, source: str = "robot") -> RobotConfig:
-        """Check a mapping; source names it in errors."""
-        robot = read_section(cls, data, source)
-        _check_relations(robot, source)
-        return robot
+    def check_relations(self, source: str) -> None:
+        """See BaseConfig."""
+        super().check_relations(source)
+        if self.kinematics.kind != "holonomic":
+            raise ConfigError(source, "kinematics.kind", f"got {self.kinematics.kind!r}", "holonomic with legs")
+        if self.footprint.center_x_m != 0.0:
+            raise ConfigError(source, "footprint.center_x_m", f"got {self.footprint.center_x_m}", "0 with legs")
+        _check_legs_and_camera(self, source)
 
     @property
     def camera_mount(self) -> CameraMount:
@@ -87,8 +52,7 @@ class RobotConfig:
         return build_urdf(self.name, self.quadruped, self.camera.mount)
 
 
-def _check_relations(robot: RobotConfig, source: str) -> None:
-    """Refuse values that are right one by one but impossible together."""
+def _check_legs_and_camera(robot: RobotConfig, source: str) -> None:
     leg, gait = robot.quadruped.leg, robot.quadruped.gait
     reach_m = leg.thigh_m + leg.shank_m + leg.foot_radius_m
     if gait.body_height_m >= 0.97 * reach_m:

@@ -49,6 +49,8 @@ def _build_objects(entries: Sequence[Any], path: KeyPath, shelf: ModelShelf) -> 
 
 def _build_object(entry: Mapping[str, Any]) -> WorldObject:
     shape, jitter = entry["shape"], entry.get("jitter", {})
+    scale = np.array(entry.get("mesh_scale", (1.0, 1.0, 1.0)), dtype=float)
+    parts_m = np.array(entry.get("collision_parts_m", ()), dtype=float).reshape(-1, 6)
     return WorldObject(
         id=entry["id"],
         name=entry["name"],
@@ -57,7 +59,7 @@ def _build_object(entry: Mapping[str, Any]) -> WorldObject:
         shape=shape,
         size_m=freeze(entry["size_m"]),
         mesh=entry["mesh"] if shape == "mesh" else None,
-        mesh_scale=freeze(entry.get("mesh_scale", (1.0, 1.0, 1.0))),
+        mesh_scale=freeze(scale),
         position_m=freeze(entry["position_m"]),
         yaw_rad=float(entry.get("yaw_rad", 0.0)),
         color_rgba=freeze(entry.get("color_rgba", (0.7, 0.7, 0.7, 1.0))),
@@ -66,6 +68,7 @@ def _build_object(entry: Mapping[str, Any]) -> WorldObject:
         jitter_m=float(jitter.get("position_m", 0.0)),
         jitter_yaw_rad=float(jitter.get("yaw_rad", 0.0)),
         collision_size_m=freeze(entry.get("collision_size_m", entry["size_m"])),
+        collision_parts_m=freeze(parts_m * np.tile(scale, 2)),
         presence=float(entry.get("presence", 1.0)),
         motion=_build_motion(entry.get("motion")),
     )

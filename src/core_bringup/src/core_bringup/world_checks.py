@@ -79,6 +79,7 @@ class _ObjectChecks:
                     key = key if not np.array_equal(size_m, item.size_m) else "size_m"
                     problem = f"a cylinder with x {size_m[0]} and y {size_m[1]}"
                     raise self._shelf.error(entry, path + (i,), key, problem, "equal x and y (the diameter)")
+            self._check_parts(item, entry, path + (i,))
             if item.motion is not None:
                 self._check_motion(item, entry["motion"], path + (i, "motion"))
 
@@ -98,6 +99,28 @@ class _ObjectChecks:
             allowed = "an OBJ file with vertices and faces"
             raise self._shelf.error(entry, path, "mesh", f"{mesh} holds no face", allowed)
         self._known_meshes.add(mesh)
+
+    def _check_parts(self, item: WorldObject, entry: Mapping[str, Any], path: KeyPath) -> None:
+        merged, key = self._shelf.merge(entry, path), "collision_parts_m"
+        if (key in merged) != (item.collision == "parts"):
+            if key in merged:
+                raise self._shelf.error(entry, path, key, f"given for collision {item.collision!r}", "collision: parts")
+            raise self._shelf.error(entry, path, "collision", f"parts without {key}", f"parts together with {key}")
+        if key not in merged:
+            return
+        if "collision_size_m" in merged:
+            problem = "given for collision 'parts'"
+            raise self._shelf.error(entry, path, "collision_size_m", problem, "only with collision: box or cylinder")
+        low_m, high_m = item.collision_parts_m[:, :3], item.collision_parts_m[:, 3:]
+        half_m = 0.5 * item.size_m[:2]
+        least_m, most_m = np.array([*-half_m, 0.0]) - _FLATNESS_M, np.array([*half_m, item.size_m[2]]) + _FLATNESS_M
+        for k, (low, high) in enumerate(zip(low_m, high_m)):
+            if np.any(low >= high):
+                problem, allowed = "empty", "x0 < x1, y0 < y1, z0 < z1 of [x0, y0, z0, x1, y1, z1]"
+                raise self._shelf.error(entry, path, key, f"box {k} is {problem}", allowed)
+            if np.any(low < least_m) or np.any(high > most_m):
+                problem = f"box {k} reaches out of size_m {item.size_m.tolist()}"
+                raise self._shelf.error(entry, path, key, problem, "boxes within size_m, bottom centred")
 
     def _check_motion(self, item: WorldObject, entry: Mapping[str, Any], path: KeyPath) -> None:
         if len(entry.get("start", {"at_s": 0.0})) != 1:

@@ -57,9 +57,10 @@ class WorldObject:
         yaw_rad: turn about world z.
         color_rgba: (4,) in 0..1; drawn for box and cylinder, meshes carry their own.
         solid: whether it collides.
-        collision: 'box' or 'cylinder' of collision_size_m: what is touched, whatever is drawn.
+        collision: 'box' or 'cylinder' of collision_size_m, or 'parts': what is touched, whatever is drawn.
         jitter_m, jitter_yaw_rad: largest shift (x and y each) and turn that vary_world applies.
         collision_size_m: (3,) extent of what is touched, bottom centred; size_m when not given.
+        collision_parts_m: (k, 6) boxes x0, y0, z0, x1, y1, z1 in the object's own axes, for 'parts'; else (0, 6).
         presence: probability that a seed > 0 has it.
         motion: how it moves; None: it stands.
     """
@@ -80,6 +81,7 @@ class WorldObject:
     jitter_m: float = 0.0
     jitter_yaw_rad: float = 0.0
     collision_size_m: Optional[np.ndarray] = None
+    collision_parts_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 6)))
     presence: float = 1.0
     motion: Optional[Motion] = None
 

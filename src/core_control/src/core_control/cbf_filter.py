@@ -10,13 +10,27 @@ from typing import Optional
 
 import numpy as np
 
+from core_control.blockage import StuckDetector
+from core_control.command_cap import CommandCap, SpeedLimiter
 from core_control.core_profile import CoreProfile
 from core_control.exceptions import SolverError
-from core_control.modes import Reason, Stop, find_grid_stop, find_odometry_stop, find_stop
+from core_control.hold import HoldKeeper
+from core_control.kinematics import Kinematics
+from core_control.modes import (
+    Reason,
+    Stop,
+    find_command_stop,
+    find_grid_stop,
+    find_odometry_stop,
+    find_stop,
+    rank_latch,
+)
+from core_control.mover_growth import MoverGrowth
+from core_control.override import NEVER_OVERRIDDEN, make_override_cap
 from core_control.paper_profile import PaperProfile
 from core_control.params import FilterParams
-from core_control.proposal import Proposal, Situation
-from core_control.speed_cap import AgeLimiter, SpeedCap
+from core_control.proposal import Proposal, Situation, make_binding
+from core_control.speed_cap import CapReason
 from core_control.types import NAN, FilterInputs, FilterResult, Mode
 
 PROFILES = {"core": CoreProfile, "paper": PaperProfile}
@@ -37,7 +51,11 @@ class CbfFilter:
         """Build the profile and start at rest."""
         self._params = params
         self._profile = PROFILES[params.profile](params)
-        self._limiter = AgeLimiter(params)
+        self._keeper = HoldKeeper(params, self._profile) if params.profile == "core" else None
+        self._limiter = SpeedLimiter(params)
+        self._kinematics = Kinematics(params)
+        self._stuck = StuckDetector(params)
+        self._movers = MoverGrowth(params)
         self._latched: Optional[Stop] = None
         self._history_start_s = math.inf
         self._sent = deque(maxlen=max(1, math.ceil(params.delay_s / params.control_period_s - 1e-9)))
@@ -47,14 +65,32 @@ class CbfFilter:
         """Text of what is latched; empty when nothing is."""
         return self._latched.detail if self._latched else ""
 
+    @property
+    def override_problem(self) -> str:
+        """Why nobody may drive past the filter now, in words; empty when nothing latched forbids it."""
+        forbidden = self._latched is not None and self._latched.reason in NEVER_OVERRIDDEN
+        return f"{self._latched.reason}: {self._latched.detail}" if forbidden else ""
+
     def latch(self, detail: str, reason: str = Reason.INTERNAL_ERROR) -> None:
-        """Stop with a reason until reset() is called; the first one is kept."""
-        self._latched = self._latched or Stop(reason, detail)
+        """Stop with a reason until reset() is called; the first of the highest rank is kept."""
+        if self._latched is None or rank_latch(reason) > rank_latch(self._latched.reason):
+            self._latched = Stop(reason, detail)
+
+    def tighten(self, params: FilterParams) -> None:
+        """Go on with parameters that allow less, as tightening.tighten() checks them; what was seen and latched stays.
+
+        Between two ticks: the program is not built anew, its limits are data.
+        """
+        self._profile.tighten(params)
+        self._limiter.tighten(params)
+        self._params = params
 
     def reset(self) -> None:
         """Clear what is latched; the operator vouches for the ground around the robot."""
         self._latched = None
         self.forget()
+        if self._keeper is not None:
+            self._keeper.vouch()
 
     def forget(self) -> None:
         """Forget the commands and the map seen so far: after a jump of time they say nothing about the present."""
@@ -62,6 +98,10 @@ class CbfFilter:
         self._history_start_s = math.inf
         self._profile.reset()
         self._limiter.reset()
+        if self._keeper is not None:
+            self._keeper.reset()
+        self._stuck.reset()
+        self._movers.reset()
 
     def step(self, inputs: FilterInputs) -> FilterResult:
         """Decide one command.
@@ -70,37 +110,66 @@ class CbfFilter:
             inputs: newest inputs and their ages at this tick.
 
         Returns:
-            FilterResult; u_safe is finite, within the limits (profile and enforcement allowing) and within the cap that
-            falls with the age of the constraints, and equal to the nominal command when nothing speaks against it.
+            FilterResult; u_safe is finite, within the limits (profile and enforcement allowing) and within the speed
+            cap, and equal to the nominal command when nothing speaks against it.
         """
         try:
-            result = self._decide_checked(inputs)
+            if inputs.latch_request is not None:
+                reason, detail = inputs.latch_request
+                self.latch(detail, reason)
+            self._look_down(inputs)
+            result = self._drive_past(inputs) or self._decide_checked(inputs)
         except Exception as error:  # a fault in the arithmetic must end in zero, whatever it is
             self.latch(f"{type(error).__name__}: {error}")
-            result = _stopped(inputs, self._latched)
+            result = replace(_stopped(inputs, self._latched), latched=True)
         if not np.any(result.u_safe):
             result = replace(result, u_safe=np.zeros(3))
         self._sent.append(result.u_safe)
-        return result
+        return self._stuck.step(result)
+
+    def _look_down(self, inputs: FilterInputs) -> None:
+        """Keep up with the ground under the robot, whoever drives."""
+        if self._keeper is not None and self._params.enforce and self._can_see(inputs):
+            self._keeper.watch(inputs.field, inputs.pose)
+
+    def _drive_past(self, inputs: FilterInputs) -> Optional[FilterResult]:
+        """The operator's command within the override's cap and the robot's limits, h shown but not obeyed.
+
+        None where nobody drives, may drive, or sends a command that can be used: then the filter decides.
+        """
+        if inputs.override_mps is None or self.override_problem or find_command_stop(inputs, self._params):
+            return None
+        cap = make_override_cap(self._params, inputs.override_mps)
+        with np.errstate(all="ignore"):
+            situation = replace(self._make_situation(inputs), u_nominal=cap.limit(inputs.u_nominal))
+            u = cap.limit(self._profile.limit(situation))
+        if not (np.isfinite(u).all() and cap.allows(u)):
+            raise ArithmeticError(f"the command under override became {u}")
+        detail = "the operator drives past the filter" + (f" ({self.error})" if self.error else "")
+        result = FilterResult(Mode.OVERRIDE, u, inputs.u_nominal, detail=detail, latched=self._latched is not None)
+        return self._observe(inputs, replace(result, speed_cap_mps=cap.speed_mps, speed_cap_reason=CapReason.OVERRIDE))
 
     def _decide_checked(self, inputs: FilterInputs) -> FilterResult:
         """Decide, and check the command as it will be sent; ArithmeticError when it must not be."""
-        cap = self._limiter.compute_cap(inputs.constraints_age_s)
         # Numbers beyond any use (1e308 m/s) are caught by checks, not by warnings.
         with np.errstate(all="ignore"):
+            self._movers.update(inputs.grid_age_s)
+            cap = self._limiter.begin(inputs, self._find_pending())
             result = self._decide(inputs, cap)
         if not np.isfinite(result.u_safe).all():
             raise ArithmeticError(f"the command became {result.u_safe}")
         if not cap.allows(result.u_safe):
             raise ArithmeticError(f"the command {result.u_safe} exceeds the speed cap of {cap.speed_mps:.3g} m/s")
-        return replace(result, speed_cap_mps=cap.speed_mps)
+        if result.mode != Mode.DISABLED and not self._kinematics.allows(result.u_safe):
+            raise ArithmeticError(f"a base of kind {self._params.kinematics} cannot follow {result.u_safe}")
+        return replace(result, speed_cap_mps=cap.speed_mps, speed_cap_reason=cap.reason)
 
-    def _decide(self, inputs: FilterInputs, cap: SpeedCap) -> FilterResult:
+    def _decide(self, inputs: FilterInputs, cap: CommandCap) -> FilterResult:
         if self._latched is None and self._params.enforce:
             self._watch_map(inputs)
         if self._latched is not None:
             stop = replace(self._latched, detail=f"{self._latched.detail}; call cbf_filter/reset")
-            return self._observe(inputs, _stopped(inputs, stop))
+            return self._observe(inputs, replace(_stopped(inputs, stop), latched=True))
         stop = find_stop(inputs, self._params)
         if stop is not None:
             self._profile.reset()
@@ -111,9 +180,12 @@ class CbfFilter:
         u_slowed = self._limiter.limit(inputs.u_nominal, cap)
         situation = replace(self._make_situation(inputs), u_nominal=u_slowed, cap=cap)
         try:
-            proposal = self._profile.propose(situation)
+            proposal = (self._keeper or self._profile).propose(situation)
         except SolverError as error:
             return self._observe(inputs, _stopped(inputs, Stop(Reason.SOLVER_FAILED, str(error))))
+        if proposal.latch is not None:
+            self.latch(proposal.latch.detail, proposal.latch.reason)
+            return self._decide(inputs, cap)
         return self._report(inputs, situation, proposal)
 
     def _watch_map(self, inputs: FilterInputs) -> None:
@@ -128,7 +200,8 @@ class CbfFilter:
     def _make_situation(self, inputs: FilterInputs) -> Situation:
         u_previous = self._sent[-1] if self._sent else np.zeros(3)
         u_nominal = np.zeros(3) if inputs.u_nominal is None else inputs.u_nominal
-        return Situation(inputs.field, inputs.pose, inputs.twist, u_nominal, u_previous, self._find_pending())
+        field = None if inputs.field is None else self._movers.apply(inputs.field)
+        return Situation(field, inputs.pose, inputs.twist, u_nominal, u_previous, self._find_pending())
 
     def _find_pending(self) -> list:
         """Commands on their way: the one sent j ticks ago acts from delay - j dt to delay - (j - 1) dt from now on."""
@@ -141,11 +214,18 @@ class CbfFilter:
 
     def _observe(self, inputs: FilterInputs, result: FilterResult) -> FilterResult:
         """Add h and its gradient where grid and odometry allow to know them, whatever their age."""
-        ageless = replace(inputs, odometry_age_s=0.0, grid_age_s=0.0, constraints_age_s=0.0)
-        if find_odometry_stop(ageless, self._params) or find_grid_stop(ageless, self._params):
+        if not self._can_see(inputs):
             return result
         clearance = self._profile.compute_clearance(self._make_situation(inputs))
-        return replace(result, h_m=clearance.h_m, gradient=clearance.gradient)
+        result = replace(result, h_m=clearance.h_m, gradient=clearance.gradient)
+        if result.mode == Mode.OVERRIDE:
+            result = replace(result, binding=make_binding(inputs.field, clearance.cell, clearance.point_m))
+        return result
+
+    def _can_see(self, inputs: FilterInputs) -> bool:
+        """Whether grid and odometry hold what they should, whatever their age."""
+        ageless = replace(inputs, odometry_age_s=0.0, grid_age_s=0.0, constraints_age_s=0.0)
+        return not (find_odometry_stop(ageless, self._params) or find_grid_stop(ageless, self._params))
 
     def _report(self, inputs: FilterInputs, situation: Situation, proposal: Proposal) -> FilterResult:
         clearance, u_nominal = proposal.clearance, inputs.u_nominal
@@ -154,7 +234,7 @@ class CbfFilter:
         if clearance.h_m < 0.0 and self._params.profile == "core":
             mode = Mode.HOLD
         return FilterResult(
-            mode,
+            mode if proposal.mode is None else proposal.mode,
             proposal.u,
             u_nominal,
             detail=_describe(inputs, situation, proposal) if changed else "",
@@ -168,7 +248,9 @@ class CbfFilter:
 
 
 def _stopped(inputs: FilterInputs, stop: Stop) -> FilterResult:
-    u_nominal = np.full(3, NAN) if inputs.u_nominal is None else inputs.u_nominal
+    u = inputs.u_nominal
+    # Whatever the caller gave for a command: a state can say three numbers of it.
+    u_nominal = u if isinstance(u, np.ndarray) and u.shape == (3,) and u.dtype == float else np.full(3, NAN)
     return FilterResult(Mode.STOPPED, np.zeros(3), u_nominal, stop.reason, stop.detail)
 
 
@@ -177,12 +259,11 @@ def _describe(inputs: FilterInputs, situation: Situation, proposal: Proposal) ->
     parts = []
     if proposal.binding is not None:
         cause, (x_m, y_m) = proposal.binding.cause, proposal.binding.point_m
-        what = " ".join(part for part in (cause.rule, cause.class_name) if part) or "an unsafe cell"
-        parts.append(f"kept from {what} at ({x_m:.2f}, {y_m:.2f}), clearance {proposal.clearance.h_m:.2f} m")
+        where = f"{cause.describe()} at ({x_m:.2f}, {y_m:.2f})"
+        parts.append(f"kept from {where}, clearance {proposal.clearance.h_m:.2f} m")
     elif not np.array_equal(proposal.u, situation.u_nominal):
         parts.append("limited")
     u_nominal = inputs.u_nominal
-    if situation.u_nominal is not u_nominal or situation.cap.is_reached_by(proposal.u):
-        how = "slowed" if np.any(situation.u_nominal) or not np.any(u_nominal) else "slowed to rest"
-        parts.append(f"{how}: constraints are {inputs.constraints_age_s:.1f} s old")
+    if situation.u_nominal is not u_nominal or situation.cap.has_slowed:
+        parts.append(situation.cap.describe(rests=np.any(u_nominal) and not np.any(situation.u_nominal)))
     return "; ".join(part for part in (*parts, proposal.note) if part)

@@ -115,6 +115,9 @@ def place_discs(poses: np.ndarray, discs: np.ndarray) -> np.ndarray:
     Returns:
         (n, k, 2) centres [m] in odom.
     """
-    c, s = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
-    x, y = discs[None, :, 0], discs[None, :, 1]
-    return np.stack([poses[:, :1] + c * x - s * y, poses[:, 1:2] + s * x + c * y], axis=-1)
+    c, s = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+    x, y = discs[:, 0], discs[:, 1]
+    centres = np.empty((len(poses), len(discs), 2))
+    centres[..., 0] = poses[:, :1] + c * x - s * y
+    centres[..., 1] = poses[:, 1:2] + s * x + c * y
+    return centres

@@ -27,3 +27,7 @@ class GridError(CoreControlError, ValueError):
 
 class SolverError(CoreControlError, RuntimeError):
     """The quadratic program gave no answer that passes its check; the message says which check failed."""
+
+
+class OverrideError(CoreControlError, ValueError):
+    """An override that was asked for is not granted; the message says why."""

@@ -36,6 +36,12 @@ class Reason:
     CONSTRAINTS_STALE = "constraints_stale"
     SOLVER_FAILED = "solver_failed"
     INTERNAL_ERROR = "internal_error"
+    E_STOP = "e_stop"
+    NOMINAL_PUBLISHERS = "nominal_publishers"
+    FOREIGN_PUBLISHER = "foreign_publisher"
+    DEEP_INSIDE = "deep_inside"
+    ESCAPE_FAILED = "escape_failed"
+    LOOP_OVERRUN = "loop_overrun"
 
 
 ALL_REASONS = tuple(value for name, value in vars(Reason).items() if name.isupper())
@@ -49,11 +55,16 @@ class Stop:
     detail: str
 
 
+def rank_latch(reason: str) -> int:
+    """Which of two latched reasons is shown: the one of the higher rank, of equal ones the first."""
+    return {Reason.E_STOP: 2, Reason.FOREIGN_PUBLISHER: 1, Reason.INTERNAL_ERROR: 1}.get(reason, 0)
+
+
 def find_nominal_stop(inputs: FilterInputs, params: FilterParams) -> Optional[Stop]:
     """Why the nominal command cannot be used, or None."""
     if inputs.u_nominal is None:
         return Stop(Reason.WAITING_FOR_NOMINAL, "no nominal command has been received")
-    if not np.isfinite(inputs.u_nominal).all():
+    if not is_vector(inputs.u_nominal):
         return Stop(Reason.NOMINAL_NOT_FINITE, f"nominal command is {_show(inputs.u_nominal)}")
     if not inputs.nominal_planar:
         return Stop(Reason.NOMINAL_NOT_PLANAR, "nominal command asks for linear.z, angular.x or angular.y")
@@ -64,7 +75,7 @@ def find_odometry_stop(inputs: FilterInputs, params: FilterParams) -> Optional[S
     """Why the odometry cannot be used, or None."""
     if inputs.pose is None or inputs.twist is None:
         return Stop(Reason.ODOMETRY_MISSING, "no odometry has been received")
-    if not (np.isfinite(inputs.pose).all() and np.isfinite(inputs.twist).all()):
+    if not (is_vector(inputs.pose) and is_vector(inputs.twist)):
         detail = f"odometry is {_show(inputs.pose)}, twist {_show(inputs.twist)}"
         return Stop(Reason.ODOMETRY_NOT_FINITE, detail)
     return _find_age("odometry", Reason.ODOMETRY_STALE, inputs.odometry_age_s, params.odometry_timeout_s)
@@ -96,12 +107,17 @@ def _find_constraints_stop(inputs: FilterInputs, params: FilterParams) -> Option
     return _find_age("constraints", Reason.CONSTRAINTS_STALE, inputs.constraints_age_s, params.constraints_ttl_s)
 
 
-def find_stop(inputs: FilterInputs, params: FilterParams) -> Optional[Stop]:
-    """The first reason to stop: nominal command, odometry, safety grid, constraints in this order; None to go on.
+def find_command_stop(inputs: FilterInputs, params: FilterParams) -> Optional[Stop]:
+    """Why nobody can drive, not even past the filter: a request from outside or the nominal command; None to go on."""
+    return Stop(*inputs.stop_request) if inputs.stop_request else find_nominal_stop(inputs, params)
 
-    With enforcement switched off only the nominal command can stop the robot.
+
+def find_stop(inputs: FilterInputs, params: FilterParams) -> Optional[Stop]:
+    """The first reason to stop: request, nominal command, odometry, safety grid, constraints in this order, or None.
+
+    With enforcement switched off only the request and the nominal command can stop the robot.
     """
-    stop = find_nominal_stop(inputs, params)
+    stop = find_command_stop(inputs, params)
     if stop is not None or not params.enforce:
         return stop
     return find_odometry_stop(inputs, params) or find_grid_stop(inputs, params)
@@ -116,5 +132,11 @@ def _find_age(name: str, reason: str, age_s: float, limit_s: float) -> Optional[
     return Stop(reason, f"{name} is {age_s:.2f} s old, limit {limit_s:g} s")
 
 
+def is_vector(vector: np.ndarray) -> bool:
+    """Whether an array holds three finite numbers, as a command, a pose and a twist do."""
+    # An array of another size would be broadcast, an empty one counts as finite.
+    return vector.shape == (3,) and bool(np.isfinite(vector).all())
+
+
 def _show(vector: np.ndarray) -> str:
-    return "(" + ", ".join(f"{value:.3g}" for value in vector) + ")"
+    return "(" + ", ".join(f"{value:.3g}" for value in vector.ravel()) + ")"

@@ -32,6 +32,15 @@ class PaperProfile:
     def reset(self) -> None:
         """Nothing to forget."""
 
+    def tighten(self, params: FilterParams) -> None:
+        """Take parameters that allow less."""
+        self._limits = params.limits
+        self._barrier = SdfGradientBarrier(params.alpha_per_s, params.paper_outside_gradient)
+
+    def limit(self, situation: Situation) -> np.ndarray:
+        """The wanted command within the limits of the robot, whatever the barrier says."""
+        return scale_to_limits(situation.u_nominal, self._limits)
+
     def compute_clearance(self, situation: Situation) -> Clearance:
         """Barrier value of the base point."""
         return self._barrier.compute_clearance(situation.field, situation.pose)

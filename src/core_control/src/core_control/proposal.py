@@ -8,9 +8,10 @@ from typing import Optional
 
 import numpy as np
 
+from core_control.modes import Stop
 from core_control.safety_field import SafetyField
 from core_control.speed_cap import NO_CAP, SpeedCap
-from core_control.types import NO_CELL, BarrierRows, Binding, Clearance
+from core_control.types import NO_CELL, BarrierRows, Binding, Clearance, Mode
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class Situation:
         u_nominal: (3,) wanted command within the cap, same units.
         u_previous: (3,) command sent in the last tick.
         pending: commands sent before that have not taken effect yet, as rollout.Pending.
-        cap: speeds that the answer must not exceed either.
+        cap: speeds that the answer must not exceed either; in the filter the CommandCap of the tick.
     """
 
     field: SafetyField
@@ -48,6 +49,8 @@ class Proposal:
         scale: what the verifier left of the command, 0..1.
         solve_time_s: thread CPU time of the solve [s]; 0 when none was needed.
         note: what the program did, in words.
+        mode: set where it is another than u and h tell.
+        latch: why nothing may move from now on; None to go on.
     """
 
     u: np.ndarray
@@ -57,11 +60,19 @@ class Proposal:
     scale: float = 1.0
     solve_time_s: float = 0.0
     note: str = ""
+    mode: Optional[Mode] = None
+    latch: Optional[Stop] = None
 
 
 def scale_to_limits(u: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """The command made smaller as a whole, so that no entry exceeds its limit and the path keeps its curvature."""
-    factor = np.max(np.abs(u) / limits)
+    """The command made smaller as a whole, so that no entry exceeds its limit and the path keeps its curvature.
+
+    Args:
+        u: (3,) command; zero where the limit is.
+        limits: (3,) largest magnitudes, >= 0.
+    """
+    bounded = limits > 0.0
+    factor = np.max(np.abs(u[bounded]) / limits[bounded])
     if factor <= 1.0:
         return u
     # An entry of 1e308 m/s overflows the quotient; the command is then beyond any use.
@@ -83,4 +94,4 @@ def make_binding(field: SafetyField, cell: int, point_m: np.ndarray) -> Binding:
     if cell == NO_CELL:
         under = field.find_cell(point_m) if np.isfinite(point_m).all() else None
         cell = NO_CELL if under is None else under[0] * field.unsafe.shape[1] + under[1]
-    return Binding(field.get_cause(cell), (float(point_m[0]), float(point_m[1])))
+    return Binding(field.get_cause(cell), (float(point_m[0]), float(point_m[1])), cell)

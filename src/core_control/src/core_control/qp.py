@@ -139,6 +139,7 @@ class VelocityQp:
         if beyond > TOLERANCE:
             raise SolverError(f"answer breaks a limit by {beyond:.3g}")
         clipped = np.clip(u, lower, upper)
-        if not satisfies(clipped, a, b, 10.0 * TOLERANCE):
-            raise SolverError("answer breaks a row at its limit")
+        # Below the lower limit after that: the limits exclude each other.
+        if np.any(clipped < lower) or not satisfies(clipped, a, b, 10.0 * TOLERANCE):
+            raise SolverError("answer breaks a row or a limit at its limit")
         return clipped

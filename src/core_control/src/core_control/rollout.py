@@ -8,10 +8,11 @@ from typing import List, Tuple
 
 import numpy as np
 
-from core_control.dynamics import integrate_lag, place_discs
+from core_control.dynamics import place_discs
+from core_control.prediction import make_schedule
 from core_control.safety_field import SafetyField
 
-# Largest time between two samples of a roll-out [s].
+# Largest time between two samples of a roll-out at full speed [s].
 SAMPLE_S = 0.01
 # Distance left to go at which a stopping robot counts as standing [m].
 REST_M = 0.001
@@ -21,6 +22,8 @@ ROUNDING_M = 1e-9
 
 # A command (3,) and how long it still acts [s].
 Pending = List[Tuple[np.ndarray, float]]
+# Pose (3,), twist (3,) and pending commands now.
+Start = Tuple[np.ndarray, np.ndarray, Pending]
 
 
 class RollOut:
@@ -37,8 +40,9 @@ class RollOut:
     def __init__(self, discs: np.ndarray, lag_s: float, hold_s: float, margin_m: float, limits: np.ndarray):
         """Find the length of a stop and the distance between two samples."""
         self._discs, self._lag_s, self._hold_s = discs, lag_s, hold_s
-        lever_m = float(np.max(np.hypot(discs[:, 0], discs[:, 1])))
-        self._speed_mps = float(np.hypot(limits[0], limits[1]) + limits[2] * lever_m)
+        lever_m = np.hypot(discs[:, 0], discs[:, 1])
+        self._extent_m = float(np.max(lever_m + discs[:, 2]))
+        self._speed_mps = float(np.hypot(limits[0], limits[1]) + limits[2] * np.max(lever_m))
         # Between two samples a disc is at most half their distance from the nearer one.
         self._needed_m = margin_m + 0.5 * self._speed_mps * SAMPLE_S
         self._stop_s = lag_s * math.log(max(1.0, self._speed_mps * lag_s / REST_M))
@@ -55,19 +59,12 @@ class RollOut:
         Returns:
             (n, 3) poses; the last is where the robot comes to rest.
         """
-        plan = [*pending, (u, self._hold_s), (np.zeros(3), self._stop_s)]
-        parts = []
-        for command, duration_s in plan:
-            if duration_s <= 0.0:
-                continue
-            count = max(1, math.ceil(duration_s / SAMPLE_S - 1e-9))
-            times_s = duration_s * np.arange(1, count + 1) / count
-            poses, twist = integrate_lag(pose, twist, command, times_s, self._lag_s)
-            pose = poses[-1]
-            parts.append(poses)
-        return np.concatenate(parts)
+        plan = [(command, held_s) for command, held_s in (*pending, (u, self._hold_s)) if held_s > 0.0]
+        durations_s = tuple(held_s for _, held_s in plan)
+        schedule = make_schedule(durations_s, self._stop_s, self._lag_s, SAMPLE_S)
+        return schedule.predict(pose, twist, np.array([command for command, _ in plan]))
 
-    def find_scale(self, field: SafetyField, start: Tuple[np.ndarray, np.ndarray, Pending], u: np.ndarray) -> float:
+    def find_scale(self, field: SafetyField, start: Start, u: np.ndarray) -> float:
         """Largest scale s of 1, .9, ... 0 for which s u, followed by a stop, keeps its clearance.
 
             min over samples of (d(c_i) - r_i)  >=  min(margin, the same minimum for s = 0)
@@ -82,22 +79,28 @@ class RollOut:
         """
         if not np.any(u):
             return 1.0
-        now = start[0][None]
-        stop_m = None
         for scale in SCALES[:-1]:
-            poses = np.concatenate([now, self.predict(*start, scale * u)])
-            clearance_m = self._compute_clearance(field, poses)
-            if clearance_m >= self._needed_m:
-                return scale
-            if stop_m is None:
-                stop_poses = np.concatenate([now, self.predict(*start, np.zeros(3))])
-                stop_m = self._compute_clearance(field, stop_poses)
-            if clearance_m >= min(self._needed_m, stop_m) - ROUNDING_M:
+            if self._keeps_clear(field, start, scale * u):
                 return scale
         return 0.0
 
-    def _compute_clearance(self, field: SafetyField, poses: np.ndarray) -> float:
-        centres = place_discs(poses, self._discs)
-        # Disc by disc: the points of one track lie close together, which keeps the search local.
-        tracks = [field.compute_signed_distance(centres[:, i]) - disc[2] for i, disc in enumerate(self._discs)]
-        return float(np.min(tracks))
+    def _keeps_clear(self, field: SafetyField, start: Start, u: np.ndarray) -> bool:
+        clearance_m = self._compute_clearance(field, start, u)
+        if clearance_m >= self._needed_m:
+            return True
+        stop_m = self._compute_clearance(field, start, np.zeros(3))
+        return clearance_m >= min(self._needed_m, stop_m) - ROUNDING_M
+
+    def _compute_clearance(self, field: SafetyField, start: Start, u: np.ndarray) -> float:
+        """Smallest clearance of the samples [m]; +inf where nothing unsafe is as near as matters."""
+        pose = start[0]
+        poses = np.concatenate([pose[None], self.predict(*start, u)])
+        way_m = float(np.max(np.hypot(poses[:, 0] - pose[0], poses[:, 1] - pose[1])))
+        boxes = field.find_boxes_near(pose[:2], self._needed_m + self._extent_m + way_m)
+        points, radius_m = place_discs(poses, self._discs).reshape(-1, 2), np.tile(self._discs[:, 2], len(poses))
+        smallest_m = np.min(boxes.compute_distance(points) - radius_m[:, None], initial=np.inf)
+        inside = field.is_inside(points)
+        if inside.any():
+            depth_m = field.safe_boxes.compute_smallest_distance(points[inside])
+            smallest_m = min(smallest_m, np.min(-depth_m - radius_m[inside]))
+        return float(smallest_m)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The speed cap that falls with the age of the constraints: the robot slows before it must stop."""
+"""Speed caps, and the one that falls with the age of the constraints: the robot slows before it must stop."""
 
 from __future__ import annotations
 
@@ -10,6 +10,16 @@ import numpy as np
 
 from core_control.modes import FUTURE_SLACK_S
 from core_control.params import FilterParams
+
+
+class CapReason:
+    """Codes of core_msgs/FilterState.speed_cap_reason."""
+
+    CONSTRAINTS_AGE = "constraints_age"
+    SLOW_REGION = "slow_region"
+    UNSEEN_HEADING = "unseen_heading"
+    OVERRIDE = "override"
+
 
 # Share of a cap that counts as rounding.
 ROUNDING = 1e-9
@@ -42,10 +52,6 @@ class SpeedCap:
         """Whether the command (3,) [m/s, m/s, rad/s] keeps within the cap."""
         return all(size <= cap * (1.0 + ROUNDING) for size, cap in self._compare(u))
 
-    def is_reached_by(self, u: np.ndarray) -> bool:
-        """Whether the command (3,) [m/s, m/s, rad/s] is as fast as the cap allows, or faster."""
-        return any(size >= cap * (1.0 - ROUNDING) for size, cap in self._compare(u))
-
     def _compare(self, u: np.ndarray) -> tuple:
         return ((math.hypot(u[0], u[1]), self.speed_mps), (abs(u[2]), self.yaw_rate_radps))
 
@@ -54,15 +60,14 @@ NO_CAP = SpeedCap()
 
 
 class AgeLimiter:
-    """Slows the nominal command down while the constraints grow old.
+    """Lets the cap fall while the constraints grow old.
 
         share(age) = 1                            for age <= fresh (no cap)
                    = (ttl - age) / (ttl - fresh)  between
                    = 0                            from ttl on, and while the age is unknown or in the future
         cap = share * (hypot(max_vx, max_vy), max_yaw_rate)
 
-    At age = fresh the cap equals the largest command the limits allow, so that nothing jumps. A command which the cap
-    pushes below the dead-band becomes zero, and stays zero until one exceeds the band dead_band_release times.
+    At age = fresh the cap equals the largest command the limits allow, so that nothing jumps.
 
     Args:
         params: parameters of the filter; fresh is constraints_fresh_s, ttl is constraints_ttl_s. Where both are equal,
@@ -72,14 +77,9 @@ class AgeLimiter:
     """
 
     def __init__(self, params: FilterParams):
-        """Start in motion."""
+        """Find the speed from which the cap falls."""
         self._params = params
-        self._speed_mps = math.hypot(params.max_vx_mps, params.max_vy_mps)
-        self._resting = False
-
-    def reset(self) -> None:
-        """Forget that the cap brought the robot to rest."""
-        self._resting = False
+        self._speed_mps = math.hypot(*params.limits[:2])
 
     def compute_cap(self, age_s: float) -> SpeedCap:
         """Cap for an age of the constraints [s]; NaN stands for no constraints at all."""
@@ -91,22 +91,4 @@ class AgeLimiter:
             return NO_CAP
         # Written so that NaN and stamps of another clock end in zero.
         share = (ttl_s - age_s) / (ttl_s - fresh_s) if fresh_s < age_s < ttl_s else 0.0
-        return SpeedCap(share * self._speed_mps, share * params.max_yaw_rate_radps)
-
-    def limit(self, u: np.ndarray, cap: SpeedCap) -> np.ndarray:
-        """The command within the cap or zero; u itself where the cap plays no part.
-
-        Args:
-            u: (3,) nominal command [m/s, m/s, rad/s], finite.
-            cap: the one of this tick.
-        """
-        if cap == NO_CAP:
-            self._resting = False
-            return u
-        capped = cap.limit(u)
-        if capped is u and not self._resting:
-            return u
-        factor = self._params.dead_band_release if self._resting else 1.0
-        slow = math.hypot(capped[0], capped[1]) < factor * self._params.dead_band_mps
-        self._resting = slow and abs(capped[2]) < factor * self._params.dead_band_radps
-        return np.zeros(3) if self._resting else capped
+        return SpeedCap(share * self._speed_mps, share * params.limits[2])

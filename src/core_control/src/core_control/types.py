@@ -29,14 +29,27 @@ class Mode(enum.IntEnum):
     HOLD = 2
     STOPPED = 3
     DISABLED = 4
+    ESCAPE = 5
+    OVERRIDE = 6
 
 
 @dataclass(frozen=True)
 class Cause:
-    """Why a cell is unsafe: the rule, for example ``BETWEEN(traffic_cone)``, and the class it speaks of."""
+    """Why a cell is unsafe: the rule, for example ``BETWEEN(traffic_cone)``, the class and instance it speaks of.
+
+    instance_id is 0 for none; mobile says that what is there may move by itself.
+    """
 
     rule: str = ""
     class_name: str = ""
+    instance_id: int = 0
+    mobile: bool = False
+
+    def describe(self) -> str:
+        """Rule and class in words; the class once only."""
+        if self.class_name and self.class_name not in self.rule:
+            return f"{self.rule} {self.class_name}".strip()
+        return self.rule or "an unsafe cell"
 
 
 @dataclass(frozen=True)
@@ -55,6 +68,7 @@ class SafetyGridData:
         h_m: (ny, nx) signed distance at cell centres.
         cause: (ny, nx) uint16 index into causes; 65535 for none.
         causes: the causes.
+        speed_cap_mps: (ny, nx) largest speed in a cell [m/s], NaN for none; None where no cell has one.
     """
 
     frame_id: str
@@ -68,14 +82,16 @@ class SafetyGridData:
     h_m: np.ndarray
     cause: np.ndarray
     causes: Tuple[Cause, ...] = ()
+    speed_cap_mps: Optional[np.ndarray] = None
 
 
 @dataclass(frozen=True)
 class Binding:
-    """The place that decides: its cause and the nearest point on its cell [m], in the grid's frame."""
+    """The place that decides: cause, nearest point on its cell [m] in the grid's frame, flat index of the cell."""
 
     cause: Cause = Cause()
     point_m: Tuple[float, float] = (NAN, NAN)
+    cell: int = NO_CELL
 
 
 @dataclass(frozen=True)
@@ -144,6 +160,9 @@ class FilterInputs:
         grid_problem: why the newest grid could not be used, as (reason, detail).
         nominal_planar: the command asked for no motion outside the plane.
         nominal_age_s, odometry_age_s, grid_age_s, constraints_age_s: ages at the tick.
+        stop_request: (reason, detail) from outside the library for which this tick must be zero.
+        latch_request: the same, and until reset() is called.
+        override_mps: speed the operator drives at past the filter; None while he does not.
     """
 
     u_nominal: Optional[np.ndarray] = None
@@ -157,13 +176,17 @@ class FilterInputs:
     odometry_age_s: float = NAN
     grid_age_s: float = NAN
     constraints_age_s: float = NAN
+    stop_request: Optional[Tuple[str, str]] = None
+    latch_request: Optional[Tuple[str, str]] = None
+    override_mps: Optional[float] = None
 
 
 @dataclass(frozen=True)
 class FilterResult:
     """What the filter decided in one tick, and why; the fields are those of core_msgs/FilterState.
 
-    speed_cap_mps is infinite while no cap is in force and NaN while nothing is known of it.
+    speed_cap_mps is infinite while no cap is in force and NaN while nothing is known of it. blocked_event is the
+    blockage.Blockage to be sent at this tick, mostly None.
     """
 
     mode: Mode
@@ -178,3 +201,7 @@ class FilterResult:
     rows: int = 0
     scale: float = 1.0
     speed_cap_mps: float = NAN
+    speed_cap_reason: str = ""
+    blocked_s: float = 0.0
+    blocked_event: Optional[object] = None
+    latched: bool = False

@@ -14,6 +14,8 @@ from core_control.params import WaypointParams
 
 # A step of time longer than this [s], or one backwards, restarts integrals and ramps.
 LONGEST_STEP_S = 1.0
+# Heading error [rad] beyond which a robot that cannot turn in place drives no slower: cos = 0.54.
+ARC_ERROR_RAD = 1.0
 
 
 @dataclass(frozen=True)
@@ -59,12 +61,29 @@ class Pid:
         return min(max(output, -self._limit), self._limit)
 
 
+def is_inside_turn(distance_m: float, bearing_rad: float, radius_m: float) -> bool:
+    """Whether a point lies inside the tightest circle that can be driven towards its side.
+
+        d^2 < 2 R d |sin(bearing)|
+
+    Args:
+        distance_m: d, to the point.
+        bearing_rad: angle from the heading to the point.
+        radius_m: R, of the circle.
+    """
+    return distance_m < 2.0 * radius_m * abs(math.sin(bearing_rad))
+
+
 class WaypointController:
     """Walks from waypoint to waypoint and stops at the last.
 
     It turns in place while the heading error is larger than turn_in_place_rad, else it walks at
     v = PID(distance) cos(heading error), never faster than it can still brake from, v <= sqrt(2 a distance). Speeds
     grow and shrink at bounded rates, except that the goal stops it at once.
+
+    With min_turning_radius_m = R > 0 (Ackermann steering) it never turns in place: it drives an arc, |w| <= v / R, no
+    slower than a heading error of 1 rad asks for. A waypoint inside the circle of that arc cannot be steered to, so it
+    drives straight ahead until the waypoint lies outside.
 
     Args:
         params: checked parameters.
@@ -143,8 +162,13 @@ class WaypointController:
         error_rad = wrap_angle(math.atan2(to_waypoint[1], to_waypoint[0]) - pose[2])
         if dt_s <= 0.0:
             return 0.0, 0.0
+        radius_m = self._params.min_turning_radius_m
+        if radius_m > 0.0 and is_inside_turn(float(np.linalg.norm(to_waypoint)), error_rad, radius_m):
+            error_rad = 0.0
         yaw_rate_radps = self._heading.step(error_rad, dt_s)
-        if abs(error_rad) > self._params.turn_in_place_rad:
+        if radius_m > 0.0:
+            error_rad = min(abs(error_rad), ARC_ERROR_RAD)
+        elif abs(error_rad) > self._params.turn_in_place_rad:
             self._distance.reset()
             return 0.0, yaw_rate_radps
         braking_mps = math.sqrt(2.0 * self._params.max_acceleration_mps2 * remaining_m)
@@ -157,3 +181,6 @@ class WaypointController:
             return
         step = dt_s * np.array([self._params.max_acceleration_mps2, self._params.max_yaw_acceleration_radps2])
         self._speed = np.clip(np.array(wanted), self._speed - step, self._speed + step)
+        if self._params.min_turning_radius_m > 0.0:
+            most_radps = abs(self._speed[0]) / self._params.min_turning_radius_m
+            self._speed[1] = min(max(self._speed[1], -most_radps), most_radps)

@@ -51,12 +51,23 @@ double computeLongestRay(const Camera& camera);
 /// stamp_invalid or pose_invalid.
 void checkFrame(const Frame& frame);
 
+/// Loops over the pixels of a row work on whole blocks where they may: of those whose length is a
+/// multiple of this compilers make vector instructions alone, with nothing left over.
+constexpr int kBlock_px = 16;
+inline int blockBegin(int pixel) { return pixel & ~(kBlock_px - 1); }
+inline int blockEnd(int pixel) { return blockBegin(pixel + kBlock_px - 1); }
+
 /// Pixels around a depth image that may be read too, and hold 0.
 constexpr int kDepthMargin_px = 2;
 
 /// Depth in metres as CV_32FC1; whatever is NaN, infinite, zero or negative becomes 0.
 /// @param metres becomes the inner part of a larger image with a margin of kDepthMargin_px pixels
-/// of 0; memory of the last call is used again where the size is the same.
+/// of 0, on the right beyond the end of the last block; memory of the last call is used again
+/// where the size is the same.
 void convertToMetres(const cv::Mat& depth, cv::Mat* metres);
+/// The same in parts, for who reads a row while it lies in the cache: the image, of which no row is
+/// valid, and one row.
+void makeMetres(const cv::Mat& depth, cv::Mat* metres);
+void convertRowToMetres(const cv::Mat& depth, int v, cv::Mat* metres);
 
 }  // namespace core_perception

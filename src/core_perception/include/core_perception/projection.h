@@ -15,6 +15,11 @@ namespace core_perception {
 struct PointRow {
   std::vector<float> depth_m;  ///< 0 where the pixel gives no point
   std::vector<float> dx_m, dy_m, dz_m;
+  /// Makes room for so many pixels, in whole blocks.
+  void resize(int width) {
+    for (std::vector<float>* array : {&depth_m, &dx_m, &dy_m, &dz_m})
+      array->resize(blockEnd(width));
+  }
   int first = 0, end = 0;  ///< of all others no entry is valid; empty where no pixel gives a point
 };
 
@@ -62,6 +67,8 @@ class Projection {
   }
 
  private:
+  void computePoints(int v, PointRow* row) const;
+
   Camera camera_;
   Eigen::Matrix3d R_map_camera_;
   Eigen::Vector3d p_map_camera_;

@@ -84,6 +84,14 @@ class SemanticMap {
   FloorBand makeFloorBand(const Projection& projection) const;
   void voteRow(const Frame& frame, const Projection& projection, const FloorBand& floor, int v);
   void findMetric(const FloorBand& floor);
+  /// What a pixel says, wherever its point lies.
+  struct PixelVote {
+    VoteKind kind = kUnsafeVote;
+    uint16_t cause = kNoCause;
+  };
+  /// @param region see ImageRegions, kNoRegion without image operators.
+  /// @param metric see findMetric.
+  PixelVote makeVote(uint16_t label, uint8_t region, uint8_t metric) const;
   int splitRow(const uint16_t* labels, const uint8_t* regions);
   void nameRules();
   static constexpr uint8_t kObstacle = 1, kDrop = 2;  ///< of findMetric
@@ -116,10 +124,10 @@ class SemanticMap {
   /// Cause by region of the image operators; kNoCause where the label tells it.
   std::array<uint16_t, kSafeRegion + 1> region_causes_;
   PointRow row_;
-  std::vector<int32_t> voxels_;   ///< of the points of row_
-  std::vector<uint8_t> metric_;   ///< where they lie, see findMetric
-  std::vector<uint8_t> changes_;  ///< see splitRow
-  std::vector<int> run_starts_;   ///< runs of row_, and its end
+  std::vector<int32_t> voxels_;             ///< of the points of row_
+  std::vector<uint8_t> metric_;             ///< where they lie, see findMetric
+  std::vector<uint8_t> differs_, changes_;  ///< see splitRow
+  std::vector<int> run_starts_;             ///< runs of row_, and its end
 };
 
 }  // namespace core_perception

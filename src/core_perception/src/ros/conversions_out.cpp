@@ -91,7 +91,8 @@ nav_msgs::OccupancyGrid probabilityToMessage(const SafetyGrid& grid,
   nav_msgs::OccupancyGrid message = makeOccupancyGrid(grid.frame, header);
   for (size_t i = 0; i < grid.state.size(); ++i) {
     const double total = static_cast<double>(grid.n_safe[i]) + grid.n_unsafe[i];
-    const bool region = grid.cause[i] != kNoCause && grid.causes[grid.cause[i]].instance_id != 0;
+    const bool region = grid.state[i] == CellState::kUnsafe && grid.cause[i] != kNoCause &&
+                        grid.causes[grid.cause[i]].instance_id != 0;
     if (region) {
       message.data[i] = 100;
     } else if (total > 0.0) {

@@ -11,7 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Polygon
 
 from core_bringup.motion import Poses
-from core_bringup.regions import NO_POSES, object_place, region_outline_m
+from core_bringup.regions import region_outline_m
+from core_bringup.touched import NO_POSES, object_outlines_m, object_place
 
 FLOOR_COLOR, EDGE_COLOR, REGION_COLOR, WAY_COLOR = "#f1efe9", "#4a4a4a", "#d1495b", "#8a4fbf"
 # Meshes carry their colours in their textures; on the plan a class has one colour.
@@ -81,13 +82,13 @@ def draw_objects(axes: Axes, objects: Sequence, poses: Poses = NO_POSES) -> None
     """Draw what is touched of every object, moving ones where poses has them; the lower ones first."""
     colors = class_colors(objects)
     for item in sorted(objects, key=lambda item: float(item.position_m[2])):
-        (x_m, y_m), yaw_rad = object_place(item, poses)
         style = {"facecolor": colors[item.class_name], "edgecolor": EDGE_COLOR, "linewidth": 0.8, "zorder": 5}
         if item.collision == "cylinder":
-            axes.add_patch(Circle((x_m, y_m), float(item.collision_size_m[0]) / 2, **style))
-        else:
-            size_m = item.collision_size_m
-            axes.add_patch(Polygon(rectangle_corners(x_m, y_m, yaw_rad, size_m[0], size_m[1]), **style))
+            place_m = tuple(object_place(item, poses)[0])
+            axes.add_patch(Circle(place_m, float(item.collision_size_m[0]) / 2, **style))
+            continue
+        for outline_m in object_outlines_m(item, poses, high_m=math.inf):
+            axes.add_patch(Polygon(outline_m, **style))
 
 
 def draw_ways(axes: Axes, ways_m: Mapping[int, np.ndarray]) -> None:

@@ -10,9 +10,9 @@ import numpy as np
 
 from core_bringup.evaluation.grid_history import GridHistory
 from core_bringup.evaluation.grid_log import GridDecision, RunLog
-from core_bringup.evaluation.truth_scene import TruthScene, object_outline_m, outline_distance_m
-from core_bringup.ground_truth import ROBOT_HEIGHT_M
+from core_bringup.evaluation.truth_scene import TruthScene, outline_distance_m
 from core_bringup.polygons import clip_to_convex, point_distance_m
+from core_bringup.touched import object_outlines_m
 from core_perception.predicates import Operator, Predicate, Verdict, parse_predicate
 
 BINS = 10
@@ -54,8 +54,8 @@ def _in_regions(points_m: np.ndarray, scene: TruthScene, index: int) -> np.ndarr
 def _in_solids(points_m: np.ndarray, scene: TruthScene, index: int) -> np.ndarray:
     inside = np.zeros(len(points_m), dtype=bool)
     for item in scene.objects(index):
-        if item.solid and item.position_m[2] < ROBOT_HEIGHT_M:
-            inside |= points_inside(points_m, object_outline_m(item))
+        for outline_m in object_outlines_m(item) if item.solid else ():
+            inside |= points_inside(points_m, outline_m)
     return inside
 
 

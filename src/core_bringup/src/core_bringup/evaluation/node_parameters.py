@@ -80,7 +80,7 @@ def make_node_parameters(request, task, robot: RobotConfig) -> Dict[str, dict]:
     Args:
         request: DemoRequest.
         task: core_bringup.world.Task.
-        robot: its footprint is the filter's.
+        robot: its footprint, kinematics and limits are the filter's.
 
     Raises:
         ConfigError: a file that cannot be read, or one that a node would refuse.
@@ -99,8 +99,7 @@ def make_node_parameters(request, task, robot: RobotConfig) -> Dict[str, dict]:
         predicates=find_predicates(request.method, request.reasoner, task),
     )
     nodes["segmenter"]["seed"] = request.seed
-    size = {"length_m": robot.footprint.length_m, "width_m": robot.footprint.width_m}
-    nodes["cbf_filter"] = merge(nodes["cbf_filter"], {"footprint": size, "output_rate_hz": rate_hz})
+    nodes["cbf_filter"] = merge(nodes["cbf_filter"], {**robot.make_filter_parameters(), "output_rate_hz": rate_hz})
     nodes["waypoint_controller"]["waypoints"] = [[float(x), float(y)] for x, y in task.waypoints_m]
     for name in nodes:
         nodes[name]["lockstep"] = request.lockstep

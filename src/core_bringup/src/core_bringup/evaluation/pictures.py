@@ -37,7 +37,8 @@ from core_bringup.evaluation.grid_history import GridHistory  # noqa: E402
 from core_bringup.evaluation.records import TickRecord  # noqa: E402
 from core_bringup.evaluation.results import atomic_path  # noqa: E402
 from core_bringup.motion import Poses  # noqa: E402
-from core_bringup.regions import NO_POSES, object_place, region_outline_m  # noqa: E402
+from core_bringup.regions import region_outline_m  # noqa: E402
+from core_bringup.touched import NO_POSES, object_place  # noqa: E402
 
 MARGIN_M = 1.5  # shown around everything that matters
 BARRIER_COLOR = "#b3001b"

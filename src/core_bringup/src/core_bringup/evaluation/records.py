@@ -8,7 +8,8 @@ from typing import Dict, List, Optional, Tuple
 
 from core_bringup.exceptions import BringupError
 
-MODE_NAMES = ("NOMINAL", "FILTERED", "HOLD", "STOPPED", "DISABLED")  # order of core_msgs/FilterState
+# Order of core_msgs/FilterState.
+MODE_NAMES = ("NOMINAL", "FILTERED", "HOLD", "STOPPED", "DISABLED", "ESCAPE", "OVERRIDE")
 # A complete record this many ticks ahead of the one awaited proves a loss: every stream keeps its own order.
 MAX_TICKS_AHEAD = 50
 # Without lock-step: a robot sample waits this long in ROS time for the filter's state, then takes the one before it.

@@ -31,7 +31,7 @@ from core_bringup.evaluation.grid_truth import (
 )  # fmt: skip
 from core_bringup.evaluation.metrics import filter_intervenes, filter_stops, finite_or_none, nominal_pushes
 from core_bringup.evaluation.truth_scene import TruthScene, outline_distance_m
-from core_bringup.regions import object_place
+from core_bringup.touched import object_place
 from core_perception.predicates import Operator, Predicate, Verdict
 
 # A cell is right when something that makes it unsafe is this near [m]: the diagonal of a cell of 0.2 m and the depth's

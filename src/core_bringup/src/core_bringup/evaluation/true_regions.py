@@ -4,15 +4,17 @@
     ON(c)       the ground whose topmost surface is of class c
     NEAR(c)     the outlines of the objects of class c
     AROUND(c)   the ground within the radius of such an outline
-    BETWEEN(c)  the convex hull of every cluster of two and more such outlines, a cluster being linked by gaps up to
+    BETWEEN(c)  the convex hull of every cluster of two and more such objects, a cluster being linked by gaps up to
                 between_max_gap_m; a hull narrower than between_min_thickness_m is grown to it
-    obstacle    the outline of a solid object that reaches into the band metric_min_height_m ... band_max_z_m
+    obstacle    the outlines of what is solid and reaches into the band metric_min_height_m ... band_max_z_m
 
     unsafe = all of these with verdict unsafe, all obstacles, and what is in no safe region: ground whose surface no
              ON(c)=safe names, and outlines of objects that no NEAR(c)=safe names
 
-An outline is what is touched of an object (truth_scene.object_outline_m). Objects that hang above the band mark
-nothing, and a safe BETWEEN cancels an unsafe one of its class. Source: DESIGN section 4, rows 1 to 3 and 13.
+The outlines are what is touched of an object within the band band_min_z_m ... band_max_z_m, one for each of its parts
+(touched.object_outlines_m). What hangs above the band, such as the upper shelves of a rack, marks nothing: a robot that
+is not as high walks there. A safe BETWEEN cancels an unsafe one of its class. Source: DESIGN section 4, rows 1 to 3
+and 13.
 """
 
 from __future__ import annotations
@@ -23,7 +25,9 @@ from typing import Any, Container, List, Mapping, Sequence, Tuple
 import numpy as np
 
 from core_bringup.evaluation.grid_truth import points_inside
-from core_bringup.evaluation.truth_scene import border_distance_m, convex_hull_m, link_outlines, object_outline_m
+from core_bringup.evaluation.truth_scene import border_distance_m, link_outlines
+from core_bringup.polygons import convex_hull
+from core_bringup.touched import object_outlines_m
 from core_bringup.world_types import Surface, WorldObject
 from core_perception.predicates import Operator, Predicate, Severity, Verdict, canonical_class_name
 
@@ -76,43 +80,50 @@ def object_regions(
     objects: Sequence[WorldObject], predicates: Sequence[Predicate], params: TruthParams
 ) -> List[TrueRegion]:
     """Every region that objects make unsafe, each at its pose."""
-    low = [item for item in objects if _reaches_band(item, params)]
     safe = {p.class_name for p in predicates if p.operator == Operator.NEAR and p.verdict == Verdict.SAFE}
-    regions = [region for item in low for region in _standing(item, safe, params)]
+    regions = [region for item in objects for region in _standing(item, safe, params)]
     for predicate in predicates:
         if predicate.verdict == Verdict.UNSAFE and predicate.severity == Severity.STOP:
-            outlines = [object_outline_m(o) for o in low if canonical_class_name(o.class_name) == predicate.class_name]
+            called = [o for o in objects if canonical_class_name(o.class_name) == predicate.class_name]
+            outlines = [outlines for outlines in (_in_band(o, params.band_min_z_m, params) for o in called) if outlines]
             if not _is_cancelled(predicate, predicates):
                 regions += _make_regions(predicate, outlines, params)
     return regions
 
 
+def _in_band(item: WorldObject, low_m: float, params: TruthParams) -> List[np.ndarray]:
+    """Outlines of what reaches into the heights low_m ... band_max_z_m above the floor."""
+    floor_m = params.floor_z_m
+    return object_outlines_m(item, low_m=floor_m + low_m, high_m=floor_m + params.band_max_z_m)
+
+
 def _standing(item: WorldObject, safe: Container[str], params: TruthParams) -> List[TrueRegion]:
     """What an object makes unsafe whatever is said of it."""
-    name, top_m = canonical_class_name(item.class_name), float(item.position_m[2] + item.collision_size_m[2])
-    if item.solid and top_m > params.floor_z_m + params.metric_min_height_m:
-        return [TrueRegion(OBSTACLE_RULE, object_outline_m(item))]
-    if name not in safe:
-        return [TrueRegion(f"not in a safe region ({name})", object_outline_m(item))]
-    return []
+    name, regions = canonical_class_name(item.class_name), []
+    standing = _in_band(item, params.metric_min_height_m, params) if item.solid else []
+    for outline_m in _in_band(item, params.band_min_z_m, params):
+        if any(np.array_equal(outline_m, other_m) for other_m in standing):
+            regions.append(TrueRegion(OBSTACLE_RULE, outline_m))
+        elif name not in safe:
+            regions.append(TrueRegion(f"not in a safe region ({name})", outline_m))
+    return regions
 
 
-def _make_regions(predicate: Predicate, outlines_m: Sequence[np.ndarray], params: TruthParams) -> List[TrueRegion]:
+def _make_regions(
+    predicate: Predicate, objects_m: Sequence[Sequence[np.ndarray]], params: TruthParams
+) -> List[TrueRegion]:
+    """Regions of a predicate around objects, each given by its outlines."""
     rule = f"{predicate.operator.name}({predicate.class_name})"
+    outlines_m = [outline_m for outlines_m in objects_m for outline_m in outlines_m]
     if predicate.operator == Operator.NEAR:
         return [TrueRegion(rule, outline_m) for outline_m in outlines_m]
     if predicate.operator == Operator.AROUND:
         radius_m = predicate.radius_m or params.class_radius_m.get(predicate.class_name, params.default_radius_m)
         return [TrueRegion(rule, outline_m, radius_m) for outline_m in outlines_m]
     if predicate.operator == Operator.BETWEEN:
-        clusters = link_outlines(outlines_m, params.between_max_gap_m)
+        clusters = link_outlines([convex_hull(np.vstack(one)) for one in objects_m], params.between_max_gap_m)
         return [_between(rule, cluster, params) for cluster in clusters if len(cluster) > 1]
     return []  # ON speaks of surfaces
-
-
-def _reaches_band(item: WorldObject, params: TruthParams) -> bool:
-    bottom_m = float(item.position_m[2]) - params.floor_z_m
-    return bottom_m < params.band_max_z_m and bottom_m + float(item.collision_size_m[2]) > params.band_min_z_m
 
 
 def _is_cancelled(predicate: Predicate, predicates: Sequence[Predicate]) -> bool:
@@ -123,7 +134,7 @@ def _is_cancelled(predicate: Predicate, predicates: Sequence[Predicate]) -> bool
 
 
 def _between(rule: str, outlines_m: Sequence[np.ndarray], params: TruthParams) -> TrueRegion:
-    hull_m = convex_hull_m(np.vstack(outlines_m))
+    hull_m = convex_hull(np.vstack(outlines_m))
     return TrueRegion(rule, hull_m, max(0.0, 0.5 * (params.between_min_thickness_m - width_m(hull_m))))
 
 

@@ -7,21 +7,18 @@ import math
 from dataclasses import replace
 from typing import Dict, List, Optional, Sequence, Tuple
 
-import cv2
 import numpy as np
 
 from core_bringup.evaluation.attribution import DEFAULT_RADIUS_M
 from core_bringup.evaluation.records import TickRecord
-from core_bringup.ground_truth import ROBOT_HEIGHT_M, object_clearance_m
 from core_bringup.motion import Poses, WorldMotion
-from core_bringup.polygons import contains_point, point_distance_m, rectangle, signed_clearance_m
-from core_bringup.regions import region_clearance_m, region_outline_m
+from core_bringup.polygons import contains_point, convex_hull, point_distance_m, rectangle, signed_clearance_m
+from core_bringup.regions import object_clearance_m, region_clearance_m, region_outline_m
 from core_bringup.rotations import yaw_of_quaternion
+from core_bringup.touched import ROBOT_HEIGHT_M, boxes_between_m, object_hull_m, object_outlines_m
 from core_bringup.world_types import WorldObject
 from core_perception.arrangement import LINK_M
 from core_perception.predicates import Operator, Predicate
-
-CIRCLE_CORNERS = 24
 
 
 class TruthScene:
@@ -80,11 +77,11 @@ class TruthScene:
     def class_clearance_m(self) -> Dict[str, float]:
         """Smallest distance from the footprint to any object of each class, solid or not, over the run [m].
 
-        Negative where the footprint overlapped one, by the depth. Objects above ROBOT_HEIGHT_M are left out.
+        Negative where the footprint overlapped one, by the depth. What hangs above ROBOT_HEIGHT_M is left out.
         """
         best: Dict[str, float] = {}
         for item in self.world.objects:
-            if item.position_m[2] < ROBOT_HEIGHT_M and self.records:
+            if len(boxes_between_m(item, -math.inf, ROBOT_HEIGHT_M)) and self.records:
                 smallest_m = min(self._clearance_m(item), best.get(item.class_name, math.inf))
                 best[item.class_name] = float(smallest_m)
         return dict(sorted(best.items()))
@@ -97,23 +94,24 @@ class TruthScene:
             outlines_m = np.array([[o.position_m[:2]] for o in placed])
             apart_m = border_distance_m(outlines_m, footprints_m) - 0.5 * float(item.collision_size_m[0])
         else:
-            outlines_m = np.array([object_outline_m(o) for o in placed])
-            apart_m = np.minimum(
-                border_distance_m(outlines_m, footprints_m), border_distance_m(footprints_m, outlines_m)
-            )
-            apart_m = np.where(self._bases_inside(placed), 0.0, apart_m)
+            parts = zip(*(object_outlines_m(o) for o in placed))
+            apart_m = np.min([self._apart_m(np.array(outlines_m)) for outlines_m in parts], axis=0)
         # Outlines that overlap cross near the footprint, or the base point is inside.
         near = apart_m <= 0.5 * math.hypot(*self.footprint_m)
         exact_m = [object_clearance_m(footprints_m[i], placed[i % len(placed)]) for i in np.flatnonzero(near)]
         return min([*exact_m, *apart_m[~near]])
 
-    def _bases_inside(self, placed: Sequence[WorldObject]) -> np.ndarray:
-        """(ticks,) bool: the base point lies in the rectangle of an object, given at every tick or once for all."""
-        centers_m, yaws_rad = np.array([o.position_m[:2] for o in placed]), np.array([o.yaw_rad for o in placed])
-        dx, dy = (np.array([r.position_m for r in self.records]) - centers_m).T
-        c, s = np.cos(yaws_rad), np.sin(yaws_rad)
-        half_m = 0.5 * placed[0].collision_size_m[:2]
-        return (np.abs(c * dx + s * dy) <= half_m[0]) & (np.abs(c * dy - s * dx) <= half_m[1])
+    def _apart_m(self, outlines_m: np.ndarray) -> np.ndarray:
+        """(ticks,) distance of the footprint's border to that of a convex outline (ticks or 1, n, 2) [m].
+
+        0 where the base point lies in the outline.
+        """
+        footprints_m = self._footprints_m()
+        apart_m = np.minimum(border_distance_m(outlines_m, footprints_m), border_distance_m(footprints_m, outlines_m))
+        to_base_m = np.array([r.position_m for r in self.records])[:, None, :] - outlines_m
+        edge_m = np.roll(outlines_m, -1, axis=1) - outlines_m
+        left = edge_m[..., 0] * to_base_m[..., 1] - edge_m[..., 1] * to_base_m[..., 0] >= 0.0
+        return np.where(left.all(axis=1), 0.0, apart_m)
 
     def _footprints_m(self) -> np.ndarray:
         """(ticks, 4, 2) corners of the footprint."""
@@ -134,7 +132,7 @@ class TruthScene:
     def class_distance_m(self, point_m: Sequence[float], class_name: str, index: int) -> float:
         """Distance from a place to the nearest object of a class, or of any when the name is empty; 0 inside [m]."""
         found = [o for o in self.objects(index) if not class_name or self._is_called(o, class_name)]
-        return min((outline_distance_m(object_outline_m(o), point_m) for o in found), default=math.inf)
+        return min((outline_distance_m(object_hull_m(o), point_m) for o in found), default=math.inf)
 
     def surface_distance_m(self, point_m: Sequence[float], class_name: str) -> float:
         """Distance from a place to the nearest surface of a class; 0 on it [m]."""
@@ -158,8 +156,8 @@ class TruthScene:
         return max(self.class_distance_m(point_m, predicate.class_name, index) - reach_m, 0.0)
 
     def _between_distance_m(self, class_name: str, point_m: Sequence[float], index: int) -> float:
-        items = [object_outline_m(o) for o in self.objects(index) if self._is_called(o, class_name)]
-        hulls = [convex_hull_m(np.vstack(cluster)) for cluster in link_outlines(items)]
+        items = [object_hull_m(o) for o in self.objects(index) if self._is_called(o, class_name)]
+        hulls = [convex_hull(np.vstack(cluster)) for cluster in link_outlines(items)]
         return min((outline_distance_m(hull, point_m) for hull in hulls), default=math.inf)
 
     def _is_called(self, item: WorldObject, name: str) -> bool:
@@ -181,15 +179,6 @@ def find_class_names(world, ontology=None) -> Dict[str, str]:
     return {other: class_name for other, class_name in names.items() if other not in own}
 
 
-def object_outline_m(item: WorldObject) -> np.ndarray:
-    """(n, 2) outline of what is touched of an object on the ground, counter-clockwise; a circle has 24 corners."""
-    size_m, center_m = item.collision_size_m, np.asarray(item.position_m[:2], dtype=float)
-    if item.collision == "cylinder":
-        angles = np.arange(CIRCLE_CORNERS) * 2.0 * np.pi / CIRCLE_CORNERS
-        return center_m + 0.5 * size_m[0] * np.column_stack([np.cos(angles), np.sin(angles)])
-    return rectangle(center_m, item.yaw_rad, size_m[0], size_m[1])
-
-
 def border_distance_m(points_m: np.ndarray, polygons_m: np.ndarray) -> np.ndarray:
     """(n,) smallest distance of points (n or 1, k, 2) to the borders of polygons (n or 1, m, 2), row by row [m]."""
     a = polygons_m[:, None, :, :]
@@ -203,11 +192,6 @@ def outline_distance_m(outline_m: np.ndarray, point_m: Sequence[float]) -> float
     """Distance from a place to a polygon (n, 2) as an area; 0 inside [m]."""
     point_m = np.asarray(point_m, dtype=float)
     return 0.0 if contains_point(outline_m, point_m) else point_distance_m(outline_m, point_m)
-
-
-def convex_hull_m(points_m: np.ndarray) -> np.ndarray:
-    """(k, 2) convex hull of points (n, 2)."""
-    return cv2.convexHull(points_m.astype(np.float32)).reshape(-1, 2).astype(float)
 
 
 def link_outlines(outlines_m: Sequence[np.ndarray], max_gap_m: float = LINK_M) -> List[List[np.ndarray]]:

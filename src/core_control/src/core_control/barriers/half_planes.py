@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import List, Tuple
+from typing import List, Tuple, Union
 
 import numpy as np
 
@@ -29,7 +29,7 @@ class Plane:
 def select_planes(centre: np.ndarray, boxes: Boxes, count: int) -> List[Plane]:
     """Half-planes that separate a point from convex boxes, nearest box first.
 
-        y = nearest point of the box,  n = (c - y) / |c - y|,  dist(x, box) >= n . (x - y) for every x
+        y = nearest point of the box,  n = (c - y) / |c - y|,  dist(x, box) - growth >= n . (x - y) - growth for every x
 
     A box that lies wholly behind a plane already taken is dropped, so that the smallest distance stays guarded.
 
@@ -43,23 +43,25 @@ def select_planes(centre: np.ndarray, boxes: Boxes, count: int) -> List[Plane]:
     nearest = boxes.compute_nearest(centre[None])[0]
     gap = centre - nearest
     distance = np.sqrt(np.einsum("nd,nd->n", gap, gap))
+    clearance = distance - boxes.growth_m
     left = np.ones(len(boxes), dtype=bool)
     planes: List[Plane] = []
-    for j in np.argsort(distance, kind="stable"):
+    for j in np.argsort(clearance, kind="stable"):
         if not left[j] or distance[j] < TINY_M:
             continue
         normal = gap[j] / distance[j]
-        planes.append(Plane(normal, nearest[j], float(distance[j]), int(boxes.cell[j])))
+        planes.append(Plane(normal, nearest[j], float(clearance[j]), int(boxes.cell[j])))
         if len(planes) == count:
             break
-        left &= ~_is_behind(boxes, normal, nearest[j])
+        left &= ~_is_behind(boxes, normal, float(normal @ nearest[j] + boxes.growth_m[j]))
     return planes
 
 
-def _is_behind(boxes: Boxes, normal: np.ndarray, point: np.ndarray) -> np.ndarray:
+def _is_behind(boxes: Boxes, normal: np.ndarray, offset_m: float) -> np.ndarray:
+    """Whether boxes, grown, lie wholly in normal . x <= offset."""
     corner = np.where(normal > 0.0, boxes.hi, boxes.lo)
     reach = np.where(normal == 0.0, 0.0, corner) @ normal
-    return reach <= normal @ point + TINY_M
+    return reach + boxes.growth_m <= offset_m + TINY_M
 
 
 class HalfPlaneBarrier:
@@ -68,23 +70,32 @@ class HalfPlaneBarrier:
     Args:
         discs: (k, 3) x [m], y [m] in base_link, radius [m].
         alpha_per_s: class-K gain; gamma = alpha dt must be <= 1.
-        margin_m: clearance below which no row lets the clearance shrink.
+        margin_m: clearance below which no row lets the clearance shrink; one for all discs, or one for each.
         limits: (3,) largest magnitudes of the command; rows that no command within them can break are left out.
         rows_per_disc: largest number of rows for one disc.
     """
 
-    def __init__(self, discs: np.ndarray, alpha_per_s: float, margin_m: float, limits: np.ndarray, rows_per_disc: int):
+    def __init__(
+        self,
+        discs: np.ndarray,
+        alpha_per_s: float,
+        margin_m: Union[float, np.ndarray],
+        limits: np.ndarray,
+        rows_per_disc: int,
+    ):
         """Keep the figures and find how far away a cell can matter."""
-        self._discs, self._alpha_per_s, self._margin_m = discs, alpha_per_s, margin_m
+        self._discs, self._alpha_per_s = discs, alpha_per_s
+        self._margin_m = np.broadcast_to(margin_m, len(discs))
         self._rows_per_disc = rows_per_disc
         lever_m = np.hypot(discs[:, 0], discs[:, 1])
         disc_speed_mps = np.hypot(limits[0], limits[1]) + limits[2] * lever_m
-        self._reach_m = discs[:, 2] + margin_m + disc_speed_mps / alpha_per_s
+        self._reach_m = discs[:, 2] + self._margin_m + disc_speed_mps / alpha_per_s
 
     @property
-    def row_count(self) -> int:
-        """Largest number of rows compute_rows can return."""
-        return self._rows_per_disc * len(self._discs)
+    def rows_per_disc(self) -> int:
+        """Largest number of rows compute_rows can return for one disc."""
+        # A disc that knows no way out has four, whatever the parameter says.
+        return max(self._rows_per_disc, 4)
 
     def compute_clearance(self, field: SafetyField, pose: np.ndarray) -> Clearance:
         """Smallest clearance of the footprint, its gradient and the point that decides.
@@ -115,7 +126,7 @@ class HalfPlaneBarrier:
             pose: (3,) pose the command acts from: where the robot would come to rest if it stopped now.
 
         Returns:
-            At most row_count rows.
+            At most rows_per_disc rows for each disc.
 
         Source: [CORE] control synthesis QP; research note A2.2. Differs: convex cells instead of one sampled gradient,
         the footprint instead of a point, b clamped for h < margin.
@@ -123,15 +134,15 @@ class HalfPlaneBarrier:
         R = compute_rotation(pose[2])
         centres = place_discs(pose[None], self._discs)[0]
         inside = field.is_inside(centres)
+        near = field.unsafe_boxes.compute_distance(centres) <= self._reach_m[:, None]
         parts = []
         for i, centre in enumerate(centres):
-            planes = self._make_exit_planes(field, centre) if inside[i] else self._make_planes(field, centre, i)
+            if inside[i]:
+                planes = self._make_exit_planes(field, centre)
+            else:
+                planes = select_planes(centre, field.unsafe_boxes.take(near[i]), self._rows_per_disc)
             parts.append(self._make_rows(planes, i, R))
         return BarrierRows.concatenate(parts)
-
-    def _make_planes(self, field: SafetyField, centre: np.ndarray, i: int) -> List[Plane]:
-        near = field.unsafe_boxes.compute_distance(centre[None])[0] <= self._reach_m[i]
-        return select_planes(centre, field.unsafe_boxes.take(near), self._rows_per_disc)
 
     @staticmethod
     def _make_exit_planes(field: SafetyField, centre: np.ndarray) -> List[Plane]:
@@ -147,7 +158,7 @@ class HalfPlaneBarrier:
             return BarrierRows.empty()
         x, y, radius_m = self._discs[i]
         normals = np.array([plane.normal for plane in planes])
-        slack_m = np.array([plane.distance_m for plane in planes]) - radius_m - self._margin_m
+        slack_m = np.array([plane.distance_m for plane in planes]) - radius_m - self._margin_m[i]
         lever = R @ np.array([-y, x])
         return BarrierRows(
             np.column_stack([normals @ R, normals @ lever]),

@@ -7,11 +7,11 @@ import math
 from typing import Tuple
 
 import numpy as np
-from core_msgs.msg import FilterState, SafetyGrid
+from core_msgs.msg import FilterState, SafetyGrid, UnsafeCause
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry, Path
 
-from core_control.types import Cause, FilterInputs, FilterResult, SafetyGridData
+from core_control.types import NO_CELL, Cause, FilterInputs, FilterResult, SafetyGridData
 
 
 def twist_from_msg(message: Twist) -> np.ndarray:
@@ -66,7 +66,7 @@ def grid_from_msg(message: SafetyGrid) -> SafetyGridData:
     """The grid with its arrays as (ny, nx); takes plain messages and those of rospy.numpy_msg.
 
     Raises:
-        ValueError: the length of an array is not width * height.
+        ValueError: the length of an array is not width * height; speed_cap_mps may also be empty.
     """
     shape = (int(message.height), int(message.width))
 
@@ -88,8 +88,13 @@ def grid_from_msg(message: SafetyGrid) -> SafetyGridData:
         unknown_is_unsafe=bool(message.unknown_is_unsafe),
         h_m=to_array("h_m", np.float64),
         cause=to_array("cause", np.uint16),
-        causes=tuple(Cause(cause.rule, cause.class_name) for cause in message.causes),
+        causes=tuple(_cause_from_msg(cause) for cause in message.causes),
+        speed_cap_mps=to_array("speed_cap_mps", np.float64) if len(message.speed_cap_mps) else None,
     )
+
+
+def _cause_from_msg(message: UnsafeCause) -> Cause:
+    return Cause(message.rule, message.class_name, int(message.instance_id), message.motion == UnsafeCause.MOBILE)
 
 
 def path_from_msg(message: Path) -> list:
@@ -111,9 +116,12 @@ def state_to_msg(result: FilterResult, inputs: FilterInputs, stamp, tick: int) -
     if result.binding is not None:
         message.binding_rule = result.binding.cause.rule
         message.binding_class = result.binding.cause.class_name
+        message.binding_instance = result.binding.cause.instance_id
         message.binding_point.x, message.binding_point.y = result.binding.point_m
+    message.binding_cell = NO_CELL if result.binding is None else result.binding.cell
+    message.scale, message.blocked_s, message.latched = result.scale, result.blocked_s, result.latched
     message.nominal_age_s, message.odometry_age_s = inputs.nominal_age_s, inputs.odometry_age_s
     message.grid_age_s, message.constraints_age_s = inputs.grid_age_s, inputs.constraints_age_s
-    message.speed_cap_mps = float(result.speed_cap_mps)
+    message.speed_cap_mps, message.speed_cap_reason = float(result.speed_cap_mps), result.speed_cap_reason
     message.solve_time_s, message.rows = result.solve_time_s, result.rows
     return message

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Sequence
+
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from core_control.types import FilterResult, Mode
@@ -13,18 +15,28 @@ LEVELS = {
     Mode.HOLD: DiagnosticStatus.WARN,
     Mode.DISABLED: DiagnosticStatus.WARN,
     Mode.STOPPED: DiagnosticStatus.ERROR,
+    Mode.ESCAPE: DiagnosticStatus.WARN,
+    Mode.OVERRIDE: DiagnosticStatus.WARN,
 }
 
 
-def make_diagnostics(result: FilterResult, name: str, ticks: int, stamp) -> DiagnosticArray:
-    """DiagnosticArray with one status; stamp is a genpy.Time."""
-    status = DiagnosticStatus(level=LEVELS[result.mode], name=f"{name}: filter", hardware_id=name)
-    status.message = ": ".join(part for part in (result.mode.name, result.reason) if part)
+def make_diagnostics(
+    result: FilterResult, name: str, ticks: int, stamp, overruns: int = 0, warnings: Sequence[str] = ()
+) -> DiagnosticArray:
+    """DiagnosticArray with one status, at least WARN with a warning; stamp is a genpy.Time."""
+    level = max(LEVELS[result.mode], DiagnosticStatus.WARN if result.blocked_s > 0.0 else DiagnosticStatus.OK)
+    status = DiagnosticStatus(level=level, name=f"{name}: filter", hardware_id=name)
+    parts = [": ".join(part for part in (result.mode.name, result.reason) if part), *warnings]
+    status.message = "; ".join(parts)
+    if warnings:
+        status.level = max(status.level, DiagnosticStatus.WARN)
     figures = {
         "detail": result.detail,
         "ticks": ticks,
+        "overruns": overruns,
         "h_m": f"{result.h_m:.3f}",
         "speed_cap_mps": f"{result.speed_cap_mps:.3f}",
+        "blocked_s": f"{result.blocked_s:.1f}",
         "rows": result.rows,
         "solve_time_s": f"{result.solve_time_s:.6f}",
     }

@@ -94,6 +94,11 @@ class LatestInputs:
         with self._lock:
             self._received[name] = Received(message, receipt_s, stamp_s)
 
+    def clear(self) -> None:
+        """Forget every message."""
+        with self._lock:
+            self._received = dict.fromkeys(NAMES)
+
     def read(self, monotonic_s: float, ros_s: float) -> FilterInputs:
         """Inputs with their ages, age = max(time since the stamp, time since receipt).
 

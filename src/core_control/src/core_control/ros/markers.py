@@ -21,6 +21,8 @@ MODE_COLORS = {
     FilterState.HOLD: (0.9, 0.1, 0.1),
     FilterState.STOPPED: (0.5, 0.0, 0.5),
     FilterState.DISABLED: (0.5, 0.5, 0.5),
+    FilterState.ESCAPE: (0.9, 0.5, 0.1),
+    FilterState.OVERRIDE: (0.1, 0.7, 0.9),
 }
 CIRCLE_POINTS = 24
 LINE_M = 0.03
@@ -92,6 +94,8 @@ def _make_text(state: FilterState, pose: np.ndarray) -> Marker:
     marker.scale.z = 0.2
     marker.pose.position.x, marker.pose.position.y, marker.pose.position.z = float(pose[0]), float(pose[1]), 0.8
     marker.text = state.reason or state.binding_rule
+    if state.blocked_s > 0.0:
+        marker.text = f"blocked by {marker.text or 'the filter'} for {state.blocked_s:.0f} s"
     if not marker.text:
         marker.action = Marker.DELETE
     return marker
