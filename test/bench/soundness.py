@@ -145,7 +145,9 @@ def run_all(options, folder):
 def show(results):
     columns = ("steps", "violating_steps", "avoidable_violating_steps", "violating_episodes", "episodes", "passthrough",
                "passthrough_reference", "passthrough_reference_slewed", "mean_speed_mps")  # fmt: skip
-    print(f"{'':32}" + " ".join(f"{c[-14:]:>14}" for c in columns), file=sys.stderr)
+    labels = ("steps", "violating", "avoidable", "bad episodes", "episodes", "passthrough", "reference", "ref. slewed",
+              "speed [m/s]")  # fmt: skip
+    print(f"{'':32}" + " ".join(f"{label:>14}" for label in labels), file=sys.stderr)
     for profile, cases in ((p, results[p]) for p in PROFILES if p in results):
         for case, figures in cases.items():
             values = " ".join(f"{figures.get(c, '-'):>14}" for c in columns)

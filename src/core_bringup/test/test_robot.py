@@ -100,7 +100,7 @@ def test_describe_prints_one_parameter_of_the_filter(capsys):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["filter", str(ROBOT_FILE), "lag_s"], "describe: arguments: KEY: got 'lag_s'; allowed: footprint/center_x_m"),
+        (["filter", str(ROBOT_FILE), "lag_s"], "describe: arguments: KEY: got 'lag_s'; allowed: camera_fov_rad"),
         (["filter", "none.yaml", "kinematics"], "describe: none.yaml: "),
     ],
 )
@@ -234,3 +234,9 @@ def test_facts_of_the_camera_are_printed(capsys):
     assert [describe(["filter", str(ROBOT_FILE), key]) for key in ("camera_fov_rad", "camera_yaw_rad")] == [0, 0]
     fov, yaw = capsys.readouterr().out.split()
     assert (float(fov), float(yaw)) == (ROBOT.camera.model.compute_horizontal_fov(), ROBOT.camera.mount.yaw_rad)
+
+
+def test_a_robot_file_without_a_camera_sees_every_heading(capsys):
+    wheels = ROBOT_FILE.parent / "waffle_like.yaml"
+    assert [describe(["filter", str(wheels), key]) for key in ("camera_fov_rad", "camera_yaw_rad")] == [0, 0]
+    assert capsys.readouterr().out.split() == ["6.2832", "0.0"]

@@ -28,6 +28,7 @@ SEED = int(os.environ.get("CORE_SEED", "0"))
 PARAMS = make_params()
 CELLS, CELL_M = 60, 0.2
 AHEAD = np.array([0.4, 0.0, 0.0])
+OFF_CENTRE = make_params(footprint={"length_m": LENGTH_M, "width_m": WIDTH_M, "center_x_m": 0.3})
 DISCS = make_params(discs=[[0.3, 0.0, 0.4], [-0.3, 0.0, 0.4]])
 
 
@@ -64,7 +65,7 @@ def is_moving(result):
 # The outline.
 
 
-@pytest.mark.parametrize("params", [PARAMS, DISCS], ids=["rectangle", "discs"])
+@pytest.mark.parametrize("params", [PARAMS, OFF_CENTRE, DISCS], ids=["rectangle", "off_centre", "discs"])
 def test_squares_under_the_body_are_those_whose_points_all_lie_in_it(params):
     rng, body = np.random.default_rng(0), Body(params)
     grid = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 21)] * 2), axis=-1).reshape(-1, 2)
@@ -79,6 +80,7 @@ def test_squares_under_the_body_are_those_whose_points_all_lie_in_it(params):
             gaps = np.linalg.norm(local[:, None] - params.disc_array[:, :2], axis=2)
             within, inside = (gaps <= 0.2).all(axis=0).any(), (gaps < 0.4).any()
         else:
+            local = local - [params.footprint.center_x_m, 0.0]
             inside_each = (np.abs(local) < [LENGTH_M / 2, WIDTH_M / 2]).all(axis=1)
             within, inside = inside_each.all(), inside_each.any()
         covered = body.covers(pose, centre[None], cell_m)[0]

@@ -54,8 +54,7 @@ def _find_view(robot: str) -> Dict[str, float]:
         return {"camera_fov_rad": 6.2832, "camera_yaw_rad": 0.0}
     from core_bringup.robot import CameraConfig
 
-    camera = read_section(CameraConfig, data["camera"], robot, "camera")
-    return {"camera_fov_rad": camera.model.compute_horizontal_fov(), "camera_yaw_rad": camera.mount.yaw_rad}
+    return read_section(CameraConfig, data["camera"], robot, "camera").make_filter_parameters()
 
 
 def waypoints(world: str, task: str) -> str:

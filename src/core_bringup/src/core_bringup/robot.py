@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Dict
 
 from core_bringup.base_config import BaseConfig
 from core_bringup.camera import CameraModel
@@ -21,6 +22,10 @@ class CameraConfig:
     mount: CameraMount = section(CameraMount)
     model: CameraModel = section(CameraModel)
 
+    def make_filter_parameters(self) -> Dict[str, float]:
+        """Parameters of core_control's cbf_filter that say where the camera looks."""
+        return {"camera_fov_rad": self.model.compute_horizontal_fov(), "camera_yaw_rad": self.mount.yaw_rad}
+
 
 @dataclass(frozen=True)
 class RobotConfig(BaseConfig):
@@ -37,6 +42,10 @@ class RobotConfig(BaseConfig):
         if self.footprint.center_x_m != 0.0:
             raise ConfigError(source, "footprint.center_x_m", f"got {self.footprint.center_x_m}", "0 with legs")
         _check_legs_and_camera(self, source)
+
+    def make_filter_parameters(self) -> Dict[str, object]:
+        """See BaseConfig; and where the camera looks."""
+        return {**super().make_filter_parameters(), **self.camera.make_filter_parameters()}
 
     @property
     def camera_mount(self) -> CameraMount:

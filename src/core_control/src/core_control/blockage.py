@@ -9,6 +9,7 @@ from typing import Optional, Tuple
 
 import numpy as np
 
+from core_control.dead_band import is_below_dead_band
 from core_control.modes import Reason
 from core_control.params import FilterParams
 from core_control.types import Binding, FilterResult, Mode
@@ -59,11 +60,6 @@ class Blockage:
         """What must change for it to be another thing that holds the robot; the nearest point moves all the time."""
         cause = None if self.binding is None else self.binding.cause
         return self.reason, cause
-
-
-def exceeds_dead_band(u: np.ndarray, params: FilterParams) -> bool:
-    """Whether a command (3,) [m/s, m/s, rad/s] asks for motion that the gait can follow."""
-    return bool(np.hypot(u[0], u[1]) >= params.dead_band_mps or abs(u[2]) >= params.dead_band_radps)
 
 
 class StuckDetector:
@@ -126,12 +122,12 @@ class StuckDetector:
         u, params = result.u_nominal, self._params
         if result.mode in (Mode.DISABLED, Mode.OVERRIDE) or result.reason in NO_COMMAND or not np.isfinite(u).all():
             return 0.0, 0.0
-        if not exceeds_dead_band(u, params):
+        if is_below_dead_band(u, params):
             return 0.0, 0.0
         wanted = params.weights * u
         asked = float(np.linalg.norm(wanted))
         # Numbers beyond any use ask for motion; how much of it was sent cannot be said.
-        if not np.isfinite(asked) or not exceeds_dead_band(result.u_safe, params) or result.mode == Mode.ESCAPE:
+        if not np.isfinite(asked) or is_below_dead_band(result.u_safe, params) or result.mode == Mode.ESCAPE:
             return min(asked, 1.0), 0.0
         return asked, float(wanted @ (params.weights * result.u_safe)) / asked
 

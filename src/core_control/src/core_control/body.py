@@ -28,13 +28,15 @@ class Body:
         discs = np.array(params.discs, dtype=float)
         self._discs = discs.reshape(-1, 3)
         self._half_m = 0.5 * np.array([params.footprint.length_m, params.footprint.width_m])
+        self._center_x_m = params.footprint.center_x_m
         reaches = np.hypot(self._discs[:, 0], self._discs[:, 1]) + self._discs[:, 2]
-        self.reach_m = float(np.max(reaches)) if len(discs) else math.hypot(*self._half_m)
+        foremost_m = self._half_m[0] + abs(self._center_x_m)
+        self.reach_m = float(np.max(reaches)) if len(discs) else math.hypot(foremost_m, self._half_m[1])
 
     def covers(self, pose: np.ndarray, centres: np.ndarray, cell_m: float) -> np.ndarray:
         """Which squares lie wholly under the body.
 
-            rectangle: |R'(c - p)| + cell/2 (|cos| + |sin|) <= half length and half width
+            rectangle: |R'(c - p) - (center_x, 0)| + cell/2 (|cos| + |sin|) <= half length and half width
             discs:     every corner of the square at most half a radius from the centre of one disc
 
         Half a radius, because discs reach beyond the body they stand for.
@@ -51,7 +53,7 @@ class Body:
             gap = np.abs(centres[:, None] - place_discs(pose[None], self._discs)[0]) + cell_m / 2.0
             return (np.hypot(gap[..., 0], gap[..., 1]) <= 0.5 * self._discs[:, 2]).any(axis=1)
         c, s = math.cos(pose[2]), math.sin(pose[2])
-        local = np.abs((centres - pose[:2]) @ np.array([[c, -s], [s, c]]))
+        local = np.abs((centres - pose[:2]) @ np.array([[c, -s], [s, c]]) - [self._center_x_m, 0.0])
         return (local + 0.5 * cell_m * (abs(c) + abs(s)) <= self._half_m + ROUNDING_M).all(axis=1)
 
     def overlaps(self, poses: np.ndarray, centres: np.ndarray, cell_m: float, grow_m: float = 0.0) -> np.ndarray:
@@ -74,7 +76,8 @@ class Body:
         R = np.moveaxis(np.array([[c, -s], [s, c]]), -1, 0)
         half = self._half_m + grow_m - ROUNDING_M
         extent = np.abs(R) @ half
-        gap = centres[None] - poses[:, None, :2]
+        middle = poses[:, :2] + self._center_x_m * np.stack([c, s], axis=-1)
+        gap = centres[None] - middle[:, None]
         turned = np.abs(R).sum(axis=1)
         apart = (np.abs(gap) >= extent[:, None] + cell_m / 2.0).any(axis=2)
         apart |= (np.abs(gap @ R) >= (half + cell_m / 2.0 * turned)[:, None]).any(axis=2)

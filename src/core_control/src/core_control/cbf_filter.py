@@ -129,8 +129,9 @@ class CbfFilter:
 
     def _look_down(self, inputs: FilterInputs) -> None:
         """Keep up with the ground under the robot, whoever drives."""
-        if self._keeper is not None and self._params.enforce and self._can_see(inputs):
-            self._keeper.watch(inputs.field, inputs.pose)
+        with np.errstate(all="ignore"):
+            if self._keeper is not None and self._params.enforce and self._can_see(inputs):
+                self._keeper.watch(inputs.field, inputs.pose)
 
     def _drive_past(self, inputs: FilterInputs) -> Optional[FilterResult]:
         """The operator's command within the override's cap and the robot's limits, h shown but not obeyed.

@@ -9,6 +9,7 @@ from typing import Callable, Iterable, Tuple
 
 import numpy as np
 
+from core_control.dead_band import is_below_dead_band
 from core_control.params import FilterParams
 from core_control.proposal import scale_to_limits
 from core_control.rollout import Pending
@@ -81,11 +82,6 @@ class CommandCap:
         """Why the command was made smaller, in words; rests: nothing is left of it."""
         to = "" if self.reason == CapReason.CONSTRAINTS_AGE else f" to {self.cap.speed_mps:.2g} m/s"
         return "slowed" + (" to rest" if rests else to) + self._words
-
-
-def is_below_dead_band(u: np.ndarray, params: FilterParams, factor: float = 1.0) -> bool:
-    """Whether the gait cannot follow a command (3,): slower than factor times the dead-band, and turning slower too."""
-    return math.hypot(u[0], u[1]) < factor * params.dead_band_mps and abs(u[2]) < factor * params.dead_band_radps
 
 
 class SpeedLimiter:

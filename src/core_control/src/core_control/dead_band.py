@@ -16,6 +16,12 @@ RELEASE_S = 0.5
 STAY_S = 1.0
 
 
+def is_below_dead_band(u: np.ndarray, params: FilterParams, factor: float = 1.0) -> bool:
+    """Whether the gait cannot follow a command (3,): slower than factor times the dead-band, and turning slower too."""
+    slow = np.hypot(u[0], u[1]) < factor * params.dead_band_mps
+    return bool(slow and abs(u[2]) < factor * params.dead_band_radps)
+
+
 @dataclass(frozen=True)
 class Rest:
     """State of the dead-band.
@@ -64,16 +70,12 @@ class DeadBand:
         return (np.zeros(3), bool(np.any(u))) if self.state.resting else (u, False)
 
     def _hold(self, u: np.ndarray, state: Rest) -> Rest:
-        if self._is_within(u, self._params.dead_band_release):
+        if is_below_dead_band(u, self._params, self._params.dead_band_release):
             return replace(state, exceeded=0)
         state = replace(state, exceeded=state.exceeded + 1)
         goes = state.exceeded >= self._release and state.stays == 0
         return Rest(stays=self._stay) if goes else state
 
     def _go(self, u: np.ndarray, state: Rest) -> Rest:
-        stops = not np.any(u) or (self._is_within(u, 1.0) and state.stays == 0)
+        stops = not np.any(u) or (is_below_dead_band(u, self._params) and state.stays == 0)
         return Rest(resting=True, stays=self._stay) if stops else state
-
-    def _is_within(self, u: np.ndarray, factor: float) -> bool:
-        slow = np.hypot(u[0], u[1]) < factor * self._params.dead_band_mps
-        return bool(slow and abs(u[2]) < factor * self._params.dead_band_radps)

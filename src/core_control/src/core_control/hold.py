@@ -15,9 +15,9 @@ from typing import Optional, Tuple
 
 import numpy as np
 
-from core_control.blockage import exceeds_dead_band
 from core_control.body import Body, find_unsafe_near
 from core_control.core_profile import CoreProfile
+from core_control.dead_band import is_below_dead_band
 from core_control.escape import Escape
 from core_control.modes import Reason, Stop
 from core_control.params import FilterParams
@@ -101,7 +101,7 @@ class HoldKeeper:
 
     def _walk_back(self, situation: Situation, proposal: Proposal, h_m: float) -> Proposal:
         """The proposal, or a step of an escape in its place."""
-        asks = exceeds_dead_band(situation.u_nominal, self._params)
+        asks = not is_below_dead_band(situation.u_nominal, self._params)
         self._escape.update(h_m, bool(asks and not np.any(proposal.u)))
         if not self._escape.is_walking:
             return proposal
