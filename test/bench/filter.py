@@ -40,6 +40,7 @@ from control_support import (
     make_inputs,
     make_params,
     make_random_mask,
+    start_anew,
 )
 from filter_graph import measure_through_ros
 from soundness_cases import slew
@@ -99,7 +100,7 @@ def drive(ticks):
         while len(tick.cpu_s) < ticks:
             message = make_grid(make_random_mask(rng), resolution_m=0.2)
             field = grid.time(SafetyField, message)
-            filter_.reset()
+            start_anew(filter_)
             pose = draw_safe_pose(rng, field, lambda p, f=field: measure_clearance(filter_, f, p))
             if pose is None:
                 continue

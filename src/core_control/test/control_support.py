@@ -177,3 +177,9 @@ class Driver:
             nearest = gap[np.argmin(np.linalg.norm(gap, axis=1))]
             return np.append(compute_rotation(pose[2]).T @ nearest, self._u[2])
         return self._u
+
+
+def start_anew(filter_):
+    """As a new filter, without compiling its program again."""
+    filter_.reset()
+    filter_.forget()

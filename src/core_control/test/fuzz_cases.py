@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import rospy
-from control_support import make_field, make_inputs, make_params
+from control_support import make_field, make_inputs, make_params, start_anew
 from fuzz_messages import HUGE, NAMES, WILD, choose, corrupt, draw_grid, make_tick, must_stop
 
 from core_control.cbf_filter import CbfFilter
@@ -115,7 +115,7 @@ class FuzzedFilter:
     def __init__(self, variant: str, tally: Tally):
         self.params, self.tally, self.name = make_params(**VARIANTS[variant]), tally, variant
         self.filter, self._program, self._verifier = make_filter(variant)
-        self.filter.reset()
+        start_anew(self.filter)
 
     def step(self, inputs, what):
         """The filter's answer, counted; None when it raised or what it said cannot be used."""
@@ -149,7 +149,7 @@ class FuzzedFilter:
     def recover(self, result):
         """Now and then an operator resets what is latched, so that the next inputs reach the filter's depth."""
         if result is None or result.latched:
-            self.filter.reset()
+            start_anew(self.filter)
 
 
 def run_ticks(variant: str, seed: int, count: int) -> Tally:
@@ -165,7 +165,7 @@ def _run_episode(fuzzed, rng):
     grid, latest = draw_grid(rng), LatestInputs()
     size_m = np.array([grid.width, grid.height]) * grid.resolution_m
     pose, twist = np.append(rng.uniform(-0.5, 0.5, 2) * size_m, rng.uniform(-3.2, 3.2)), np.zeros(3)
-    fuzzed.filter.reset()
+    start_anew(fuzzed.filter)
     u_nominal = rng.uniform(-1.2, 1.2, 3) * fuzzed.params.limits
     for i in range(EPISODE_TICKS):
         if i % 8 == 0:

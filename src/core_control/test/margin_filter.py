@@ -46,6 +46,9 @@ class MarginFilter:
         self._growth = params.accelerations * params.control_period_s if slewed else 2.0 * params.limits
         self.reset()
 
+    def forget(self) -> None:
+        """Nothing that reset() does not forget."""
+
     def reset(self) -> None:
         """Forget the field and the last command."""
         self._field, self._h_m, self._sent = None, None, np.zeros(3)

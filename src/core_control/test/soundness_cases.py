@@ -14,7 +14,17 @@ from dataclasses import dataclass, field, replace
 from typing import Dict, List, Set, Tuple
 
 import numpy as np
-from control_support import LENGTH_M, WIDTH_M, Driver, Plant, draw_safe_pose, make_grid, make_inputs, make_random_mask
+from control_support import (
+    LENGTH_M,
+    WIDTH_M,
+    Driver,
+    Plant,
+    draw_safe_pose,
+    make_grid,
+    make_inputs,
+    make_random_mask,
+    start_anew,
+)
 from margin_filter import MarginFilter
 from scipy.ndimage import distance_transform_edt
 
@@ -242,7 +252,7 @@ def run_episode(case_name: str, profile: str, seed: int, steps: int = EPISODE_ST
     if pose is None:
         return Tally()
     filter_ = make_filter(case_name, profile, design)
-    filter_.reset()
+    start_anew(filter_)
     lag_s = case.lag_s + (case.lag_error_s if seed % 2 else -case.lag_error_s)
     plant = Plant(pose, lag_s, round(case.delay_s / params.control_period_s), params.control_period_s)
     known, driver = KnownMap(truth, case.revealed, profile, rng), Driver(rng, params.limits)

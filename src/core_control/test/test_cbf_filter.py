@@ -5,7 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from control_support import CONE_LINE, Plant, make_field, make_inputs, make_params, make_random_mask, make_wall
+from control_support import (
+    CONE_LINE,
+    Plant,
+    make_field,
+    make_inputs,
+    make_params,
+    make_random_mask,
+    make_wall,
+    start_anew,
+)
 
 from core_control.barriers.half_planes import HalfPlaneBarrier
 from core_control.cbf_filter import CbfFilter
@@ -43,7 +52,7 @@ def assert_stopped(result, reason):
 def test_answer_satisfies_every_row_and_limit(solver):
     filter_, changed = CbfFilter(make_params(solver=solver)), 0
     for inputs, _ in draw_inputs(0, 120):
-        filter_.reset()
+        start_anew(filter_)
         result = filter_.step(inputs)
         assert result.mode in (Mode.NOMINAL, Mode.FILTERED, Mode.HOLD)
         rows = BARRIER.compute_rows(inputs.field, inputs.pose)
@@ -101,7 +110,7 @@ def test_fuzz_of_conflicting_rows_and_wild_numbers():
         inputs = make_inputs(rng.choice(wild, 3), field, rng.choice(wild[:7], 3), rng.choice(wild, 3))
         inputs = inputs if rng.random() < 0.5 else replace(inputs, pose=rng.normal(size=3), twist=rng.normal(size=3))
         result = filter_.step(inputs)
-        filter_.reset()
+        start_anew(filter_)
         assert np.isfinite(result.u_safe).all()
         assert np.all(np.abs(result.u_safe) <= PARAMS.limits + 1e-12)
 
@@ -253,7 +262,7 @@ def draw_inputs_inside(seed, count):
 def test_in_hold_the_robot_never_moves_by_itself():
     filter_ = CbfFilter(make_params(underfoot_grids=0))
     for inputs in draw_inputs_inside(5, 60):
-        filter_.reset()
+        start_anew(filter_)
         result = filter_.step(replace(inputs, u_nominal=np.zeros(3)))
         assert (result.mode, result.reason) == (Mode.HOLD, "")
         np.testing.assert_array_equal(result.u_safe, np.zeros(3))
@@ -266,7 +275,7 @@ def test_in_hold_what_passes_does_not_come_closer_and_a_way_out_passes():
         before = BARRIER.compute_clearance(inputs.field, inputs.pose)
         outward = np.append(compute_rotation(inputs.pose[2]).T @ before.gradient, 0.0) * 0.05
         for u, is_inward in ((outward, False), (-outward, True)):
-            filter_.reset()
+            start_anew(filter_)
             plant, result = Plant(inputs.pose), filter_.step(replace(inputs, u_nominal=u))
             plant.step(result.u_safe)
             h_m = BARRIER.compute_clearance(inputs.field, plant.pose).h_m

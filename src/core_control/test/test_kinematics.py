@@ -15,6 +15,7 @@ from control_support import (
     make_params,
     make_random_mask,
     make_wall,
+    start_anew,
 )
 
 from core_control.barriers.half_planes import HalfPlaneBarrier
@@ -24,6 +25,7 @@ from core_control.exceptions import ParameterError
 from core_control.kinematics import Kinematics
 from core_control.modes import Reason
 from core_control.params import FilterParams, WaypointParams
+from core_control.proposal import Situation
 from core_control.types import Mode
 from core_control.waypoint_controller import WaypointController
 
@@ -208,7 +210,7 @@ def test_answer_satisfies_every_row_and_limit(kind, shape):
     filter_ = CbfFilter(params)
     for inputs in draw_pushed(params, 300):
         field, pose, wanted = inputs.field, inputs.pose, inputs.u_nominal
-        filter_.reset()
+        start_anew(filter_)
         result = filter_.step(inputs)
         discs, on_axle = kinematics.place_discs(wanted[0])
         margins_m = np.where(on_axle, params.verifier_margin_m, params.margin_m)
@@ -362,10 +364,12 @@ def test_what_the_base_would_ignore_is_left_out_before_it_counts():
 
 
 @pytest.mark.parametrize(("wall_m", "expected"), [(3.0, [0.25, 0.0, 0.0]), (0.6, [0.0, 0.0, 0.0])])
-def test_what_is_left_after_scaling_is_verified_without_its_small_entries(wall_m, expected):
+def test_what_is_left_after_scaling_is_verified_without_its_small_entries(monkeypatch, wall_m, expected):
     profile = CoreProfile(make_params(**BANDS, dead_band_per_axis=True))
-    start = (np.zeros(3), np.zeros(3), [])
-    u, _ = profile._shrink(np.array([0.5, 0.06, 0.0]), 0.5, make_wall(wall_m), start)
+    find_scale, scales = profile.roll_out.find_scale, [0.5]
+    monkeypatch.setattr(profile.roll_out, "find_scale", lambda *args: scales.pop() if scales else find_scale(*args))
+    situation = Situation(make_wall(wall_m), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), [])
+    u, _ = profile.verify(situation, np.array([0.5, 0.06, 0.0]))
     np.testing.assert_array_equal(u, expected)
 
 

@@ -14,6 +14,7 @@ from control_support import (
     make_inputs,
     make_params,
     make_random_mask,
+    start_anew,
 )
 
 from core_control.barriers.half_planes import HalfPlaneBarrier, select_planes
@@ -152,7 +153,7 @@ def test_an_old_grid_brings_the_robot_into_hold_without_moving_it():
     """The robot stands near a person and the map falls silent: h becomes negative by growth, and nothing moves."""
     field, filter_ = make_person(0.75), CbfFilter(PARAMS)
     for u_nominal in (np.zeros(3), np.array(AHEAD)):
-        filter_.reset()
+        start_anew(filter_)
         results = [filter_.step(make_inputs(u_nominal, field, grid_age_s=age_s)) for age_s in np.arange(0.0, 0.5, 0.05)]
         assert results[0].h_m > 0.0 > results[-1].h_m
         assert results[-1].mode == Mode.HOLD

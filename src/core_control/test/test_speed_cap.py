@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from control_support import Plant, make_field, make_inputs, make_params, make_random_mask, make_wall
+from control_support import Plant, make_field, make_inputs, make_params, make_random_mask, make_wall, start_anew
 
 from core_control.barriers.half_planes import HalfPlaneBarrier
 from core_control.cbf_filter import CbfFilter
@@ -272,7 +272,7 @@ def test_fuzz_slowed_answers_satisfy_every_row_and_the_cap():
         pose = np.append(rng.uniform(-2.8, 2.8, 2), rng.uniform(-np.pi, np.pi))
         age_s = rng.uniform(8.0, 14.5)
         cap = AgeLimiter(params).compute_cap(age_s)
-        filter_.reset()
+        start_anew(filter_)
         answers.clear()
         result = filter_.step(make_inputs(np.copysign(params.limits, u), field, pose, constraints_age_s=age_s))
         assert result.mode in (Mode.NOMINAL, Mode.FILTERED, Mode.HOLD)

@@ -83,18 +83,26 @@ class CbfFilter:
         """
         self._profile.tighten(params)
         self._limiter.tighten(params)
+        if self._keeper is not None:
+            self._keeper.tighten(params)
         self._params = params
 
     def reset(self) -> None:
-        """Clear what is latched; the operator vouches for the ground around the robot."""
+        """Clear what is latched; the operator vouches for the ground around the robot.
+
+        The commands sent are not forgotten: with a delay some of them are still on their way.
+        """
         self._latched = None
-        self.forget()
+        self._forget_ground()
         if self._keeper is not None:
             self._keeper.vouch()
 
     def forget(self) -> None:
         """Forget the commands and the map seen so far: after a jump of time they say nothing about the present."""
         self._sent.clear()
+        self._forget_ground()
+
+    def _forget_ground(self) -> None:
         self._history_start_s = math.inf
         self._profile.reset()
         self._limiter.reset()
@@ -125,6 +133,8 @@ class CbfFilter:
         if not np.any(result.u_safe):
             result = replace(result, u_safe=np.zeros(3))
         self._sent.append(result.u_safe)
+        if self._keeper is not None and result.mode in (Mode.STOPPED, Mode.DISABLED, Mode.OVERRIDE):
+            self._keeper.pause(moved=result.mode != Mode.STOPPED)
         return self._stuck.step(result)
 
     def _look_down(self, inputs: FilterInputs) -> None:

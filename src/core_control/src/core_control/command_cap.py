@@ -74,6 +74,10 @@ class CommandCap:
             return capped
         return np.zeros(3) if is_below_dead_band(capped, self._params) else capped
 
+    def adopt(self, other: CommandCap) -> None:
+        """Take over what another cap of the same tick has been shown, in place of what this one has."""
+        self.cap, self.reason, self._words, self.has_slowed = other.cap, other.reason, other._words, other.has_slowed
+
     def allows(self, u: np.ndarray) -> bool:
         """Whether the command (3,) keeps within the smallest cap so far."""
         return self.cap.allows(u)

@@ -14,7 +14,6 @@ from core_control.params import FilterParams
 from core_control.proposal import Proposal, Situation, find_binding, make_binding, scale_to_limits
 from core_control.qp import TOLERANCE, Box, VelocityQp, satisfies
 from core_control.rollout import RollOut
-from core_control.safety_field import SafetyField
 from core_control.slide import compute_slide_rows
 from core_control.types import BarrierRows, Binding, Clearance
 
@@ -80,7 +79,6 @@ class CoreProfile:
         Raises:
             SolverError: the program gave no usable answer.
         """
-        field = situation.field
         clearance = self.compute_clearance(situation)
         start = (situation.pose, situation.twist, situation.pending)
         stop_pose = self._roll_out.predict(*start, np.zeros(3))[-1]
@@ -89,15 +87,25 @@ class CoreProfile:
         u, solve_time_s = self._solve(wanted, rows, lower, upper)
         u = self._leave_out_ignored(u, wanted, rows, (lower, upper))
         # Sliding may trade turning for speed. b <= 0 in every row: a smaller command satisfies them as well.
-        u = self._drop_ignored(situation.cap.limit(u))
-        scale = self._roll_out.find_scale(field, start, u)
+        u, scale = self.verify(situation, situation.cap.limit(u))
         binding = self._find_binding(situation, rows, wanted, scale)
-        if scale < 1.0:
-            u, scale = self._shrink(u, scale, field, start)
         u, rests = self._dead_band.apply(u, binding is not None or self._stays_bound(situation, rows))
         note = _describe(scale, rests, u is situation.u_nominal)
         note = "; ".join(part for part in (self._kinematics.describe(situation.u_nominal), note) if part)
         return Proposal(u, clearance, binding, len(rows), scale, solve_time_s, note)
+
+    def verify(self, situation: Situation, u: np.ndarray) -> Tuple[np.ndarray, float]:
+        """What the verifier leaves of a command as the gait walks it, and its scale; u itself where it is all of it."""
+        start = (situation.pose, situation.twist, situation.pending)
+        u = self._drop_ignored(u)
+        scale = self._roll_out.find_scale(situation.field, start, u)
+        if scale == 1.0:
+            return u, scale
+        shrunk = scale * u
+        walked = self._drop_ignored(shrunk)
+        if walked is not shrunk and self._roll_out.find_scale(situation.field, start, walked) < 1.0:
+            return np.zeros(3), 0.0  # without its small entries it is another motion
+        return walked, scale
 
     def _make_barrier(self, discs: np.ndarray, margin_m: Union[float, np.ndarray]) -> HalfPlaneBarrier:
         params = self._params
@@ -157,14 +165,6 @@ class CoreProfile:
         bands = np.array([self._params.dead_band_mps, self._params.dead_band_mps, self._params.dead_band_radps])
         small = (u != 0.0) & (np.abs(u) < bands)
         return self._kinematics.adapt(np.where(small, 0.0, u)) if small.any() else u
-
-    def _shrink(self, u: np.ndarray, scale: float, field: SafetyField, start) -> Tuple[np.ndarray, float]:
-        """What the verifier left of a command, and its scale; zero where dropping small entries makes another of it."""
-        shrunk = scale * u
-        walked = self._drop_ignored(shrunk)
-        if walked is not shrunk and self._roll_out.find_scale(field, start, walked) < 1.0:
-            return np.zeros(3), 0.0
-        return walked, scale
 
     def _find_binding(self, situation, rows: BarrierRows, wanted: np.ndarray, scale: float) -> Optional[Binding]:
         binding = find_binding(situation.field, rows, wanted)

@@ -56,14 +56,24 @@ class Escape:
         self._params = params
         self._yaw_rate_radps = params.escape_speed_mps / reach_m
         self._jump_m = JUMP_M + 3.0 * params.control_period_s * math.hypot(*params.limits[:2])
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the trail and what was tried."""
         self._trail: Deque[Trail] = deque()
         self._tick, self._pose = 0, None
         self._held, self._walked, self._refused = 0, 0, 0
         self._spent = False
+
+    def tighten(self, params: FilterParams) -> None:
+        """Go on with parameters that allow less."""
+        self._params = params
+
+    def pause(self, moved: bool) -> None:
+        """The filter stopped for another reason: the robot must rest anew before it walks back.
+
+        Args:
+            moved: somebody else may have driven: the trail no longer leads from where the robot is.
+        """
+        self._held, self._refused = 0, 0
+        if moved:
+            self._trail.clear()
 
     def give_up(self) -> None:
         """Do not try again before the robot has been out once: an operator saw to it."""

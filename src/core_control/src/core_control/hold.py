@@ -10,6 +10,7 @@ A nominal command of zero is answered by zero in every mode.
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 from typing import Optional, Tuple
 
@@ -48,10 +49,18 @@ class HoldKeeper:
         self._grow_m = 0.5 * reach_mps * SAMPLE_S
 
     def reset(self) -> None:
-        """Forget what is known of the ground under the robot."""
+        """Forget what is known of the ground under the robot; what an operator saw to stays so."""
         self._underfoot.reset()
-        self._escape.reset()
-        self._vouched = False
+        self._escape.pause(moved=True)
+
+    def pause(self, moved: bool) -> None:
+        """A tick that did not ask for a proposal; moved: the robot may have been driven by somebody else."""
+        self._escape.pause(moved)
+
+    def tighten(self, params: FilterParams) -> None:
+        """Go on with parameters that allow less."""
+        self._params = params
+        self._escape.tighten(params)
 
     def vouch(self) -> None:
         """An operator saw to it: what would latch now does so only after the robot has been out of it once."""
@@ -74,8 +83,10 @@ class HoldKeeper:
             return self._stand(situation, new)
         proposal = self._choose(situation)
         h_m = proposal.clearance.h_m
-        if h_m < 0.0 and len(self._underfoot):
-            h_m = self._profile.compute_clearance(self._clear(situation)).h_m
+        if h_m < 0.0:
+            # Neither exempt cells count from here on, nor what moves may have come nearer: that alone moves nobody.
+            seen = replace(situation, field=self._underfoot.clear_field())
+            h_m = self._profile.compute_clearance(seen).h_m
         deep = self._find_deep(situation, proposal.clearance.h_m)
         if deep is not None and h_m < 0.0:
             return replace(proposal, latch=deep)
@@ -116,11 +127,10 @@ class HoldKeeper:
     def _verify(self, situation: Situation, wanted: np.ndarray) -> Tuple[np.ndarray, float]:
         """What limits, cap and verifier leave of a command, and the verifier's scale; no row bends it off the trail."""
         u = situation.cap.limit(self._profile.limit(replace(situation, u_nominal=wanted)))
-        start = (situation.pose, situation.twist, situation.pending)
-        scale = self._profile.roll_out.find_scale(self._clear(situation).field, start, u)
-        if self._enters(situation, scale * u, within_region=True):
-            scale = 0.0
-        return scale * u, scale
+        u, scale = self._profile.verify(self._clear(situation), u)
+        if self._enters(situation, u, within_region=True):
+            return np.zeros(3), 0.0
+        return u, scale
 
     def _stand(self, situation: Situation, cell: int) -> Proposal:
         """Zero, while it shows whether a cell that turned unsafe under the robot stays so."""
@@ -132,17 +142,19 @@ class HoldKeeper:
         return Proposal(np.zeros(3), self._profile.compute_clearance(situation), binding, note=note)
 
     def _choose(self, situation: Situation) -> Proposal:
-        before = self._profile.rest
+        before, cap = self._profile.rest, copy.copy(situation.cap)
         proposal = self._profile.propose(situation)
         if proposal.clearance.h_m < 0.0 and self._enters(situation, proposal.u, within_region=True):
             proposal = self._refuse(proposal)
         if not len(self._underfoot) or np.array_equal(proposal.u, situation.u_nominal):
             return proposal
         after, self._profile.rest = self._profile.rest, before
-        other = self._profile.propose(self._clear(situation))
+        # A cap that one answer tightens says nothing of the other: what is sent is checked against its own.
+        other = self._profile.propose(replace(self._clear(situation), cap=cap))
         if self._enters(situation, other.u, within_region=False):
             other = self._refuse(other)
         if self._compute_change(situation, other.u) < self._compute_change(situation, proposal.u):
+            situation.cap.adopt(cap)
             # What is reported is the clearance there is, whatever the program left out.
             return replace(other, clearance=proposal.clearance)
         self._profile.rest = after

@@ -72,40 +72,55 @@ class Underfoot:
             pose: (3,) of base_link in its frame.
         """
         if field is not self._field:
-            self._align(field)
-            self._take_grid(field, pose)
+            self._take_grid(field, pose, self._align(field))
         if self._counts:
             left = self._find_left(field, pose)
             self._exempt -= left
             self._counts = {place: count for place, count in self._counts.items() if place not in left}
 
-    def _align(self, field: SafetyField) -> None:
-        """Begin anew where the cells of the new grid are not those of the last one."""
-        if self._field is not None:
-            steps = (field.lo_m - self._corner_m) / field.grid.resolution_m
-            same_size = field.grid.resolution_m == self._field.grid.resolution_m
-            if same_size and np.all(np.abs(steps - np.round(steps)) <= STEP_SLACK):
-                return
-            self.reset()
-        self._corner_m = field.lo_m
+    def _align(self, field: SafetyField) -> bool:
+        """Whether the cells of the new grid are those of the last one; else each place becomes the cell it lies in."""
+        before, corner_m, self._corner_m = self._field, self._corner_m, field.lo_m
+        if before is None:
+            return True
+        cell_m = before.grid.resolution_m
+        steps = (field.lo_m - corner_m) / cell_m
+        if cell_m == field.grid.resolution_m and np.all(np.abs(steps - np.round(steps)) <= STEP_SLACK):
+            self._corner_m = corner_m
+            return True
 
-    def _take_grid(self, field: SafetyField, pose: np.ndarray) -> None:
+        def move(place: Place) -> Place:
+            centre = corner_m + (np.array(place) + 0.5) * cell_m
+            ix, iy = np.floor((centre - field.lo_m) / field.grid.resolution_m).astype(int)
+            return int(ix), int(iy)
+
+        self._exempt = {move(place) for place in self._exempt}
+        self._counts = {move(place): count for place, count in self._counts.items()}
+        return False
+
+    def _take_grid(self, field: SafetyField, pose: np.ndarray, aligned: bool) -> None:
         before, self._field = self._field, field
         iy, ix = find_unsafe_near(field, pose[None], self._body.reach_m)
         centres = field.compute_centre(iy, ix)
         covered = self._body.covers(pose, centres, field.grid.resolution_m)
         self._exempt = {place for place in self._exempt if self._is_unsafe(place)}
+        if not aligned:
+            # A cell that is not the one that turned unsafe under the body must lie wholly under it itself.
+            self._exempt &= self._find_places(centres[covered])
         if covered.any():
             # What lay outside of the grid before was unsafe before.
             turned = covered if before is None else covered & ~before.is_inside(centres)
-            places = np.floor((centres[turned] - self._corner_m) / field.grid.resolution_m).astype(int)
-            self._exempt |= {(ix, iy) for ix, iy in places.tolist()}
-        if before is None or before.grid.stamp_s != field.grid.stamp_s:
+            self._exempt |= self._find_places(centres[turned])
+        if before is None or before.grid.stamp_s != field.grid.stamp_s or field.grid.stamp_s == 0.0:
             for place in self._exempt:
                 self._counts[place] = self._counts.get(place, 0) + 1
         else:
             for place in self._exempt:
                 self._counts.setdefault(place, 1)
+
+    def _find_places(self, centres: np.ndarray) -> Set[Place]:
+        places = np.floor((centres - self._corner_m) / self._field.grid.resolution_m).astype(int)
+        return {(ix, iy) for ix, iy in places.tolist()}
 
     def _find_left(self, field: SafetyField, pose: np.ndarray) -> Set[Place]:
         """Places the footprint has left."""
