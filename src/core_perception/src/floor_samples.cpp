@@ -35,8 +35,10 @@ void FloorSamples::collect(const cv::Mat& metres, const Projection& projection, 
     // Near by the ground comes in many rows; above the horizon only what rises steeply is seen.
     const bool is_dense = down <= 0.0f || 8.0f * depth_m * depth_m < cell_m * height_m * fy;
     // Four samples across a column of the map, or two in many rows.
-    const float step_px = (is_dense ? 0.5f : 0.25f) * cell_m * fx / depth_m;
-    collectRow(metres, projection, v, std::max(1, static_cast<int>(step_px + 0.5f)));
+    const float wanted_px = (is_dense ? 0.5f : 0.25f) * cell_m * fx / depth_m;
+    // Infinite, or no number, for a camera at the height of the floor; in this order a whole row.
+    const float step_px = std::max(1.0f, std::min(static_cast<float>(metres.cols), wanted_px));
+    collectRow(metres, projection, v, static_cast<int>(step_px + 0.5f));
     v += is_dense ? 2 : 1;
   }
 }
