@@ -74,10 +74,12 @@ class Graph:
         return messages
 
     def set_going(self):
-        """Unpause the world once every listener is connected, so that none misses a tick."""
+        """Unpause the world once it knows of every listener, so that none misses a tick."""
         from std_srvs.srv import Trigger
 
-        wait_for(lambda: all(s.get_num_connections() for s in self._subscribers), "connections to the world")
+        from core_bringup.ros.connections import find_unserved
+
+        wait_for(lambda: not find_unserved([s.name for s in self._subscribers]), "connections to the world")
         assert self.call("unpause", Trigger).success
 
     def call(self, service, kind, *arguments):
@@ -136,8 +138,9 @@ def test_reset_goes_back_to_the_first_tick_and_the_chain_goes_on(graph):
     from std_srvs.srv import Trigger
 
     odometry = graph.listen("odom", Odometry)
-    graph.start(BRIDGE, *LOCKSTEP)
+    graph.start(BRIDGE, *LOCKSTEP, "_start_paused:=true")
     graph.start(CHAIN)
+    graph.set_going()
     wait_for(lambda: len(odometry) > 100, "100 ticks")
     assert graph.call("reset", Trigger).success
     stamps = lambda: [m.header.stamp.to_nsec() for m in odometry]  # noqa: E731

@@ -12,9 +12,9 @@ from control_support import make_grid
 from core_msgs.msg import FilterState, SafetyGrid
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
-from ros_support import Collector, RatePublisher, grid_to_msg, wait_until
+from ros_support import Collector, RatePublisher, grid_to_msg, make_odometry_msg, wait_until
 
-from core_control.ros.conversions import odometry_to_msg, twist_from_msg, twist_to_msg
+from core_control.ros.conversions import twist_from_msg, twist_to_msg
 
 PROFILES = ("core", "paper")
 FRESH_S, TTL_S = 7.5, 15.0
@@ -31,16 +31,10 @@ class Robot:
     def __init__(self, name):
         self.constraints_stamp = None
         self.nominal = RatePublisher(f"/{name}/cmd_vel_nominal", Twist, lambda: twist_to_msg(AHEAD), 20)
-        self.odometry = RatePublisher(f"/{name}/odom", Odometry, self.make_odometry, 50)
+        self.odometry = RatePublisher(f"/{name}/odom", Odometry, make_odometry_msg, 50)
         self.grid = RatePublisher(f"/{name}/safety_grid", SafetyGrid, self.make_grid, 10)
         self.states = Collector(f"/{name}/cbf_filter/state", FilterState)
         self.commands = Collector(f"/{name}/cmd_vel", Twist)
-
-    @staticmethod
-    def make_odometry():
-        message = odometry_to_msg(np.zeros(3), np.zeros(3))
-        message.header.stamp = rospy.Time.now()
-        return message
 
     def make_grid(self):
         now = rospy.Time.now()

@@ -13,10 +13,10 @@ from core_msgs.msg import FilterState, SafetyGrid
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
-from ros_support import Collector, RatePublisher, make_wall_msg, wait_until
+from ros_support import Collector, RatePublisher, make_odometry_msg, make_wall_msg, wait_until
 from std_srvs.srv import Trigger
 
-from core_control.ros.conversions import odometry_to_msg, twist_from_msg, twist_to_msg
+from core_control.ros.conversions import twist_from_msg, twist_to_msg
 
 # Time a loaded machine may add to a bound [s].
 SLACK_S = 0.25
@@ -50,9 +50,7 @@ class Fakes:
         self.wall_x_m = 2.9
 
     def make_odometry(self):
-        message = odometry_to_msg(self.pose, np.zeros(3), self.frame_id)
-        message.header.stamp = rospy.Time.now()
-        return message
+        return make_odometry_msg(self.pose, self.frame_id)
 
     def make_grid(self):
         now = rospy.Time.now()

@@ -19,9 +19,9 @@ import rostest
 from core_msgs.msg import FilterState, SafetyGrid
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
-from ros_support import Collector, RatePublisher, make_wall_msg, node_pid, wait_until
+from ros_support import Collector, RatePublisher, make_odometry_msg, make_wall_msg, node_pid, wait_until
 
-from core_control.ros.conversions import odometry_to_msg, twist_from_msg, twist_to_msg
+from core_control.ros.conversions import twist_from_msg, twist_to_msg
 
 TICK_S = 0.05
 AHEAD = np.array([0.3, 0.0, 0.0])
@@ -46,14 +46,8 @@ class Fakes:
     def __init__(self):
         self.u, self.constraints_age_s = AHEAD, 0.0
         self.nominal = RatePublisher("/filter/cmd_vel_nominal", Twist, lambda: twist_to_msg(self.u), 20)
-        self.odometry = RatePublisher("/filter/odom", Odometry, self.make_odometry, 50)
+        self.odometry = RatePublisher("/filter/odom", Odometry, make_odometry_msg, 50)
         self.grid = RatePublisher("/filter/safety_grid", SafetyGrid, self.make_grid, 10)
-
-    @staticmethod
-    def make_odometry():
-        message = odometry_to_msg(np.zeros(3), np.zeros(3))
-        message.header.stamp = rospy.Time.now()
-        return message
 
     def make_grid(self):
         now = rospy.Time.now()

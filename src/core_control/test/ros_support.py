@@ -12,6 +12,8 @@ import rospy
 from control_support import make_grid
 from core_msgs.msg import SafetyGrid, UnsafeCause
 
+from core_control.ros.conversions import odometry_to_msg
+
 
 def wait_until(condition, timeout_s=10.0, what="condition"):
     """Value of the condition as soon as it is true; AssertionError after the deadline."""
@@ -39,6 +41,13 @@ def grid_to_msg(grid, stamp, constraints_stamp) -> SafetyGrid:
         for cause in grid.causes
     ]
     message.speed_cap_mps = [] if grid.speed_cap_mps is None else grid.speed_cap_mps.ravel().tolist()
+    return message
+
+
+def make_odometry_msg(pose=(0.0, 0.0, 0.0), frame_id="odom", stamp=None):
+    """Odometry of a robot that stands; stamped now unless told otherwise."""
+    message = odometry_to_msg(np.array(pose, dtype=float), np.zeros(3), frame_id)
+    message.header.stamp = stamp or rospy.Time.now()
     return message
 
 

@@ -13,7 +13,7 @@ from control_support import Plant
 from core_msgs.msg import FilterState, SafetyGrid
 from geometry_msgs.msg import PoseStamped, Twist
 from nav_msgs.msg import Odometry, Path
-from ros_support import Collector, RatePublisher, make_wall_msg, wait_until
+from ros_support import Collector, RatePublisher, make_odometry_msg, make_wall_msg, wait_until
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool, Float64
 
@@ -84,9 +84,7 @@ class LonelyFilter:
         self.commands = Collector("/lonely/cmd_vel", Twist)
 
     def make_odometry(self):
-        message = odometry_to_msg(np.zeros(3), np.zeros(3))
-        message.header.stamp = rospy.Time.from_sec(self.simulator.now_s)
-        return message
+        return make_odometry_msg(stamp=rospy.Time.from_sec(self.simulator.now_s))
 
     def make_grid(self):
         now = rospy.Time.from_sec(self.simulator.now_s)

@@ -12,9 +12,9 @@ from control_support import AROUND_PERSON, make_grid, make_slow_field
 from core_msgs.msg import FilterState, SafetyGrid
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
-from ros_support import Collector, RatePublisher, grid_to_msg, wait_until
+from ros_support import Collector, RatePublisher, grid_to_msg, make_odometry_msg, wait_until
 
-from core_control.ros.conversions import odometry_to_msg, twist_from_msg, twist_to_msg
+from core_control.ros.conversions import twist_from_msg, twist_to_msg
 
 CAP_MPS = 0.2
 FREE = make_grid(np.zeros((120, 120), bool))
@@ -28,17 +28,11 @@ class SlowRegionTest(unittest.TestCase):
         cls.u, cls.grid, cls.spoil = AHEAD, FREE, lambda _: None
         cls.feeds = [
             RatePublisher("cmd_vel_nominal", Twist, lambda: twist_to_msg(cls.u), 20),
-            RatePublisher("odom", Odometry, cls.make_odometry, 50),
+            RatePublisher("odom", Odometry, make_odometry_msg, 50),
             RatePublisher("safety_grid", SafetyGrid, cls.make_grid, 10),
         ]
         cls.states = Collector("cbf_filter/state", FilterState)
         cls.commands = Collector("cmd_vel", Twist)
-
-    @staticmethod
-    def make_odometry():
-        message = odometry_to_msg(np.zeros(3), np.zeros(3))
-        message.header.stamp = rospy.Time.now()
-        return message
 
     @classmethod
     def make_grid(cls):

@@ -3,8 +3,9 @@
 
 import numpy as np
 import pytest
+from control_support import integrate_arc, integrate_lag
 
-from core_control.dynamics import compute_g, compute_rotation, integrate_arc, integrate_lag, place_discs, wrap_angle
+from core_control.dynamics import compute_g, compute_rotation, place_discs, wrap_angle
 
 RNG = np.random.default_rng(1)
 CASES = [(RNG.uniform(-3, 3, 3), RNG.uniform(-1, 1, 3)) for _ in range(20)]

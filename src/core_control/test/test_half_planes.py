@@ -3,10 +3,9 @@
 
 import numpy as np
 import pytest
-from control_support import make_field, make_random_mask, make_wall
+from control_support import integrate_arc, make_field, make_random_mask, make_wall
 
 from core_control.barriers.half_planes import HalfPlaneBarrier, select_planes
-from core_control.dynamics import integrate_arc
 from core_control.params import FilterParams
 from core_control.safety_field import Boxes
 

@@ -3,8 +3,9 @@
 
 import numpy as np
 import pytest
+from control_support import integrate_lag
 
-from core_control.dynamics import integrate_lag, place_discs
+from core_control.dynamics import place_discs
 from core_control.params import FilterParams
 from core_control.prediction import make_schedule
 from core_control.rollout import SAMPLE_S, RollOut

@@ -21,6 +21,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from core_bringup.evaluation.frame_recording import RecordingHeader
 from core_bringup.evaluation.launcher import RoslaunchProcess
 from core_bringup.exceptions import BringupError
+from core_bringup.ros.connections import find_unserved
 from core_bringup.ros.conversions import (
     camera_info_to_msg,
     header_to_msg,
@@ -89,7 +90,7 @@ class RecordingPlayer:
             BringupError: not all of them before the deadline [s from now].
         """
         end_s = time.monotonic() + deadline_s
-        while not all(end.get_num_connections() > 0 for end in [*self._publishers, self._grids]):
+        while not all(p.get_num_connections() for p in self._publishers) or find_unserved([self._grids.name]):
             if time.monotonic() > end_s:
                 raise BringupError(f"{self._grids.name}: not connected within {deadline_s:g} s")
             time.sleep(0.02)
