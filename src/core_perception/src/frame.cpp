@@ -63,14 +63,24 @@ void checkPose(const Frame& frame) {
   }
 }
 
-/// Divides, so that a depth of 7000 mm is 7 m and no more.
-template <typename T>
-void convertRow(const T* in, float units_per_m, int n, float* out) {
+/// depth_mm / 1000.0f to the last bit, without its division: the product with the first bits of
+/// 1 / 1000 is exact, and what the other one rounds away is too little to matter.
+inline float toMetres(uint16_t depth_mm) {
+  constexpr double kFirstBits = 262.0 / (1 << 18);
+  constexpr auto kHigh = static_cast<float>(kFirstBits);
+  constexpr auto kLow = static_cast<float>(1e-3 - kFirstBits);
+  return static_cast<float>(depth_mm) * kHigh + static_cast<float>(depth_mm) * kLow;
+}
+
+/// 0 for what is no depth.
+inline float toMetres(float depth_m) {
   constexpr float kLargest = std::numeric_limits<float>::max();
-  for (int i = 0; i < n; ++i) {
-    const float z = static_cast<float>(in[i]) / units_per_m;
-    out[i] = (z > 0.0f && z <= kLargest) ? z : 0.0f;  // false for NaN
-  }
+  return (depth_m > 0.0f) & (depth_m <= kLargest) ? depth_m : 0.0f;  // false for NaN
+}
+
+template <typename T>
+void convertRow(const T* in, int n, float* out) {
+  for (int i = 0; i < n; ++i) out[i] = toMetres(in[i]);
 }
 
 }  // namespace
@@ -128,9 +138,9 @@ void makeMetres(const cv::Mat& depth, cv::Mat* metres) {
 
 void convertRowToMetres(const cv::Mat& depth, int v, cv::Mat* metres) {
   if (depth.type() == CV_16UC1) {
-    convertRow(depth.ptr<uint16_t>(v), 1000.0f, depth.cols, metres->ptr<float>(v));
+    convertRow(depth.ptr<uint16_t>(v), depth.cols, metres->ptr<float>(v));
   } else {
-    convertRow(depth.ptr<float>(v), 1.0f, depth.cols, metres->ptr<float>(v));
+    convertRow(depth.ptr<float>(v), depth.cols, metres->ptr<float>(v));
   }
 }
 

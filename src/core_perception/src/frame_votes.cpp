@@ -22,14 +22,19 @@ constexpr int32_t FrameVotes::kNoVoxel;
 constexpr int32_t FrameVotes::kUndecided;
 
 FrameVotes::FrameVotes(double resolution_m, double min_z_m, double max_z_m)
-    : resolution_m_(resolution_m), cells_per_m_(static_cast<float>(1.0 / resolution_m)) {
+    : resolution_m_(resolution_m),
+      cells_per_m_(static_cast<float>(1.0 / resolution_m)),
+      tallies_(1) {
   origin_.z = floorDivide(min_z_m, resolution_m);
   layers_ = floorDivide(max_z_m, resolution_m) - origin_.z + 1;
 }
 
 void FrameVotes::start(const Eigen::Vector3d& p_map_camera, double reach_m) {
-  for (const VoxelTally& tally : tallies_) numbers_[tally.voxel] = 0;
-  tallies_.clear();
+  uint32_t* numbers = numbers_.data();
+  for (const VoxelTally& tally : tallies()) numbers[tally.voxel] = 0;
+  static const VoxelTally kNothing;  // not on the stack, from which it would be read back each time
+  std::fill_n(tallies_.data(), n_tallies_, kNothing);
+  n_tallies_ = 1;
   const int reach = static_cast<int>(std::ceil(reach_m / resolution_m_)) + 1;
   // A power of two: indices come and go without a division.
   for (width_bits_ = 0; 1 << width_bits_ < 2 * reach + 1;) ++width_bits_;
@@ -39,12 +44,13 @@ void FrameVotes::start(const Eigen::Vector3d& p_map_camera, double reach_m) {
     const int origin = axis == 0 ? origin_.x : axis == 1 ? origin_.y : origin_.z;
     offset_[axis] = p_map_camera[axis] / resolution_m_ - origin;
   }
-  const size_t size = static_cast<size_t>(layers_) << 2 * width_bits_;
+  const size_t size = (static_cast<size_t>(layers_) << 2 * width_bits_) + 1;
   if (numbers_.size() < size) numbers_.resize(size);
+  numbers_[kNoVoxel] = 1;
 }
 
 void FrameVotes::locate(const PointRow& row, const FloorBand& floor,
-                        std::vector<int32_t>* voxels) const {
+                        PixelRow<int32_t>* voxels) const {
   voxels->resize(row.depth_m.size());
   const int begin = blockBegin(row.first);
   const int n = blockEnd(row.end) - begin;
@@ -76,7 +82,7 @@ void FrameVotes::locate(const PointRow& row, const FloorBand& floor,
     const bool is_inside =
         (xy < width) & (static_cast<unsigned>(z) < static_cast<unsigned>(layers));
     const auto rows = (static_cast<unsigned>(z) << bits) + static_cast<unsigned>(y);
-    int voxel = static_cast<int>((rows << bits) + static_cast<unsigned>(x));
+    int voxel = static_cast<int>((rows << bits) + static_cast<unsigned>(x) + 1u);
     voxel = is_inside ? voxel : kNoVoxel;
     voxel = is_undecided ? kUndecided : voxel;
     result[i] = depth[i] > 0.0f ? voxel : kNoVoxel;

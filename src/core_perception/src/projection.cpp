@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 
 namespace core_perception {
 namespace {
@@ -25,12 +26,13 @@ void scaleRays(const float* column, float row, const float* depth, int n, float*
   for (int i = 0; i < n; ++i) out[i] = (column[i] + row) * depth[i];
 }
 
-/// Whether so many values are 0; without a branch, as vector instructions look at them.
+/// Whether so many values are +0: whole numbers are quick to compare.
 template <int n>
 bool isZero(const float* values) {
-  int n_others = 0;
-  for (int i = 0; i < n; ++i) n_others += static_cast<int>(values[i] != 0.0f);
-  return n_others == 0;
+  uint32_t bits[n], any = 0;
+  std::memcpy(bits, values, sizeof(bits));
+  for (int i = 0; i < n; ++i) any |= bits[i];
+  return any == 0;
 }
 
 /// Takes zeros off both ends of [first, end), so many at a time.
@@ -67,7 +69,7 @@ Projection::Projection(const Frame& frame, const RangeParams& range)
       edge_factor_(range.depth_edge_ratio > 0.0 ? static_cast<float>(1.0 - range.depth_edge_ratio)
                                                 : 0.0f),
       reach_m_(range.range_max_m * computeLongestRay(camera_)) {
-  for (std::vector<float>* array : {&column_x_, &column_y_, &column_z_})
+  for (PixelRow<float>* array : {&column_x_, &column_y_, &column_z_})
     array->resize(blockEnd(camera_.width_px));
   row_.reserve(camera_.height_px);
   for (int u = 0; u < camera_.width_px; ++u) {
@@ -100,16 +102,15 @@ void Projection::projectRow(const cv::Mat& metres, int v, const Run& pixels, int
   row->first = row->end = pixels.first;
   const float* in = metres.ptr<float>(v);
   float* depth = row->depth_m.data();
-  const int begin = blockBegin(pixels.first);
-  const int n = blockEnd(pixels.end) - begin;
-  if (keepWithin(in + begin, range_min_m_, range_max_m_, n, depth + begin) == 0) return;
-  const auto stride = static_cast<std::ptrdiff_t>(metres.step1());
-  for (int d = 1; d <= edge_px && edge_factor_ > 0.0f; ++d)
-    dropBehindEdges(in + begin, d, stride * d, edge_factor_, n, depth + begin);
+  const int begin = blockBegin(pixels.first), end = blockEnd(pixels.end);
+  if (keepWithin(in + begin, range_min_m_, range_max_m_, end - begin, depth + begin) == 0) return;
   row->end = pixels.end;
   trimZeros<4 * kBlock_px>(depth, &row->first, &row->end);
   trimZeros<kBlock_px>(depth, &row->first, &row->end);
-  trimZeros<1>(depth, &row->first, &row->end);
+  const auto stride = static_cast<std::ptrdiff_t>(metres.step1());
+  const int first = blockBegin(row->first), n = blockEnd(row->end) - first;
+  for (int d = 1; d <= edge_px && edge_factor_ > 0.0f; ++d)
+    dropBehindEdges(in + first, d, stride * d, edge_factor_, n, depth + first);
   computePoints(v, row);
 }
 

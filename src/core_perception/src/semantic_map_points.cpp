@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // What a SemanticMap takes from the pixels of a frame: votes and points of objects.
 #include <algorithm>
+#include <cstring>
 #include <limits>
 
 #include "core_perception/semantic_map.h"
@@ -20,6 +21,29 @@ template <typename T>
 void addChanges(const T* values, const Run& pixels, uint8_t* changes) {
   for (int u = pixels.first + 1; u < pixels.end; ++u)
     changes[u] = static_cast<uint8_t>(changes[u] | (values[u] != values[u - 1]));
+}
+
+constexpr int kFlagMargin = 64;  ///< forEachSet reads so many flags more
+
+/// Bit i tells of flag i, each 0 or 1; eight at a time are brought together by one product.
+uint64_t gatherBits(const uint8_t* flags) {
+  uint64_t bits = 0;
+  for (int i = 0; i < 8; ++i) {
+    uint64_t eight;
+    std::memcpy(&eight, flags + 8 * i, sizeof(eight));
+    bits |= (eight * 0x0102040810204080u >> 56) << 8 * i;
+  }
+  return bits;
+}
+
+/// Visits the set ones among flags that are 0 or 1, without a branch for each of them.
+template <typename Visitor>
+void forEachSet(const uint8_t* flags, const Run& pixels, Visitor visit) {
+  for (int first = pixels.first; first < pixels.end; first += 64) {
+    uint64_t bits = gatherBits(flags + first);
+    if (pixels.end - first < 64) bits &= (uint64_t{1} << (pixels.end - first)) - 1;
+    for (; bits != 0; bits &= bits - 1) visit(first + __builtin_ctzll(bits));
+  }
 }
 
 }  // namespace
@@ -95,21 +119,26 @@ void SemanticMap::voteRow(const Frame& frame, const Projection& projection, cons
   findMetric(floor);
   const uint16_t* labels = frame.labels.ptr<uint16_t>(v);
   const uint8_t* regions = by_image_ ? regions_.image().ptr<uint8_t>(v) : nullptr;
-  const int n_runs = splitRow(labels, regions);
-  const int *starts = run_starts_.data(), *voxels = voxels_.data();
+  findRuns(labels, regions);
+  const int* voxels = voxels_.data();
   const uint8_t* differs = differs_.data();
   PixelVote vote;
-  for (int i = 0; i < n_runs; ++i) {
-    const int first = starts[i], end = starts[i + 1], voxel = voxels[first];
+  FrameVotes::RowCounter counter(&frame_votes_, static_cast<size_t>(row_.end - row_.first));
+  int first = row_.first;
+  const auto voteRun = [&](int end) {
+    const int voxel = voxels[first];
     if (differs[first] != 0)
       vote = makeVote(labels[first], by_image_ ? regions[first] : kNoRegion, metric_[first]);
-    if (voxel >= 0) {
-      frame_votes_.add(voxel, vote.kind, static_cast<uint32_t>(end - first), vote.cause);
-    } else if (voxel == FrameVotes::kUndecided) {
+    if (voxel != FrameVotes::kUndecided) {
+      counter.add(voxel, vote.kind, static_cast<uint32_t>(end - first), vote.cause);
+    } else {
       for (int u = first; u < end; ++u)
-        frame_votes_.add(locateExactly(frame, projection, floor, u, v), vote.kind, 1, vote.cause);
+        counter.add(locateExactly(frame, projection, floor, u, v), vote.kind, 1, vote.cause);
     }
-  }
+    first = end;
+  };
+  forEachSet(changes_.data(), {first + 1, row_.end}, voteRun);
+  voteRun(row_.end);
 }
 
 SemanticMap::PixelVote SemanticMap::makeVote(uint16_t label, uint8_t region, uint8_t metric) const {
@@ -145,31 +174,20 @@ void SemanticMap::findMetric(const FloorBand& floor) {
   }
 }
 
-/// Splits row_ into runs of pixels that vote alike for one voxel; neighbours mostly do. differs_
-/// tells of the first pixel of a run whether it votes otherwise than the run before it.
-/// @returns the number of runs in run_starts_; the end of the last one follows them.
-int SemanticMap::splitRow(const uint16_t* labels, const uint8_t* regions) {
-  const int first = row_.first, end = row_.end;
-  const Run pixels{first, end};
+/// Finds the runs of pixels of row_ that vote alike for one voxel; neighbours mostly do. changes_
+/// is 1 where another run begins, differs_ where it votes otherwise than the one before it.
+void SemanticMap::findRuns(const uint16_t* labels, const uint8_t* regions) {
+  const Run pixels{row_.first, row_.end};
   differs_.resize(row_.depth_m.size());
-  changes_.resize(row_.depth_m.size());
+  changes_.resize(row_.depth_m.size() + kFlagMargin);
   uint8_t *differs = differs_.data(), *changes = changes_.data();
   markChanges(labels, pixels, differs);
   if (by_image_) addChanges(regions, pixels, differs);
   if (params_.vote.metric_layer) addChanges(metric_.data(), pixels, differs);
-  differs[first] = 1;
+  differs[pixels.first] = 1;
   markChanges(voxels_.data(), pixels, changes);
-  for (int u = first + 1; u < end; ++u) changes[u] = static_cast<uint8_t>(changes[u] | differs[u]);
-  run_starts_.resize(changes_.size() + 1);
-  int* starts = run_starts_.data();
-  int n = 0;
-  starts[n++] = first;
-  for (int u = first + 1; u < end; ++u) {
-    starts[n] = u;  // stays only where a run begins: no branch that depends on the picture
-    n += changes[u];
-  }
-  starts[n] = end;
-  return n;
+  for (int u = pixels.first + 1; u < pixels.end; ++u)
+    changes[u] = static_cast<uint8_t>(changes[u] | differs[u]);
 }
 
 /// Fills the causes of the regions in which an unsafe predicate holds.

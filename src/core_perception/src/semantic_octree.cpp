@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "core_perception/semantic_octree.h"
 
+#include <algorithm>
 #include <cmath>
 #include <istream>
+#include <limits>
 #include <ostream>
 #include <utility>
 
@@ -11,6 +13,13 @@ namespace core_perception {
 namespace {
 
 constexpr size_t kMostChanges = 10000;  // nobody may ever take them
+
+/// Below 1 exactly where the safe votes are more, whatever is rounded.
+float computeOdds(uint32_t n_safe, uint32_t n_unsafe) {
+  constexpr float kBelowOne = 1.0f - std::numeric_limits<float>::epsilon() / 2.0f;
+  const float odds = (static_cast<float>(n_unsafe) + 0.5f) / (static_cast<float>(n_safe) + 0.5f);
+  return n_unsafe < n_safe ? std::min(odds, kBelowOne) : odds;
+}
 
 }  // namespace
 
@@ -23,7 +32,7 @@ void SemanticOcTreeNode::copyData(const SemanticOcTreeNode& from) {
 void SemanticOcTreeNode::setCounts(uint32_t n_safe, uint32_t n_unsafe) {
   n_safe_ = n_safe;
   n_unsafe_ = n_unsafe;
-  setValue(static_cast<float>(std::log((n_unsafe + 0.5) / (n_safe + 0.5))));
+  setValue(std::log(computeOdds(n_safe, n_unsafe)));
 }
 
 void SemanticOcTreeNode::freeChildren() {

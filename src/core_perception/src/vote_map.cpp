@@ -33,8 +33,9 @@ void VoteMap::add(const FrameVotes& votes, const CauseTable& causes) {
   derived_.clear();
   forgetMovedLeaves();
   sortByBlock(votes);
+  const Tallies tallies = votes.tallies();
   for (const uint32_t i : sorted_) {
-    const VoxelTally& tally = votes.tallies()[i];
+    const VoxelTally& tally = tallies[i];
     addToVoxel(votes.indexOf(tally.voxel), tally, i, causes);
   }
   spreadMovers(votes, causes);
@@ -57,7 +58,7 @@ void VoteMap::sortByBlock(const FrameVotes& votes) {
   const auto digit = [](int index) {
     return static_cast<unsigned>(floorTo<kBlock>(index)) % kDigits;
   };
-  const std::vector<VoxelTally>& tallies = votes.tallies();
+  const Tallies tallies = votes.tallies();
   blocks_.resize(tallies.size());
   sorted_.resize(tallies.size());
   uint32_t ends[kDigits * kDigits * kDigits + 1] = {};

@@ -49,6 +49,15 @@ std::set<int> collectColumns(const Frame& frame, const RangeParams& range) {
   return columns;
 }
 
+TEST(Projection, every_depth_in_millimetres_is_divided_to_the_last_bit) {
+  cv::Mat depth(256, 256, CV_16UC1), metres;
+  for (int i = 0; i < 1 << 16; ++i) depth.at<uint16_t>(i / 256, i % 256) = static_cast<uint16_t>(i);
+  convertToMetres(depth, &metres);
+  volatile const float units_per_m = 1000.0f;  // a division at run time
+  for (int i = 0; i < 1 << 16; ++i)
+    ASSERT_EQ(metres.at<float>(i / 256, i % 256), static_cast<float>(i) / units_per_m) << i;
+}
+
 TEST(Projection, agrees_with_the_pinhole_equations) {
   const Frame frame = makeFrame(cv::Mat(320, 500, CV_32FC1, cv::Scalar(5.0f)));
   cv::Mat metres;
@@ -96,15 +105,15 @@ TEST(Projection, whole_reach_of_the_camera_fits_the_scratch_volume) {
     farthest_m = std::max(farthest_m, static_cast<double>(p.d_m.head<2>().norm()));
   });
   PointRow row;
-  std::vector<int32_t> voxels;
+  PixelRow<int32_t> voxels;
   for (int v = 0; v < metres.rows; ++v) {
     projection.projectRow(metres, v, &row);
     votes.locate(row, FloorBand(), &voxels);
     for (int u = 0; u < metres.cols; ++u) {
       const int32_t exact = votes.locatePoint(projection.computePoint(u, v, 7.0), 7.0, FloorBand());
-      ASSERT_GE(exact, 0);
+      ASSERT_GT(exact, FrameVotes::kNoVoxel);
       ASSERT_TRUE(voxels[u] == exact || voxels[u] == FrameVotes::kUndecided) << u << " " << v;
-      ++votes.touch(exact).n_pixels[kSafeVote];
+      FrameVotes::RowCounter(&votes, 1).add(exact, kSafeVote, 1, kNoCause);
     }
   }
   EXPECT_GT(farthest_m, 9.4);
@@ -137,7 +146,7 @@ TEST(Projection, no_point_lands_in_a_wrong_voxel) {
     convertToMetres(frame.depth, &metres);
     votes.start(projection.p_map_camera(), projection.reach_m());
     PointRow row;
-    std::vector<int32_t> voxels;
+    PixelRow<int32_t> voxels;
     for (int v = 0; v < metres.rows; ++v) {
       projection.projectRow(metres, v, &row);
       votes.locate(row, floor, &voxels);

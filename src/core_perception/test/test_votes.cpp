@@ -42,19 +42,17 @@ void addFrame(const std::vector<Pixels>& pixels, VoteMap* map,
     row.dz_m[row.end] = static_cast<float>(p.z_m - 0.1);
     ++row.end;
   }
-  std::vector<int32_t> voxels;
+  PixelRow<int32_t> voxels;
   votes.locate(row, FloorBand(), &voxels);
   for (size_t i = 0; i < pixels.size(); ++i) {
     const Eigen::Vector3d d_m(pixels[i].x_m - 0.1, pixels[i].y_m - 0.1, pixels[i].z_m - 0.1);
     const int32_t voxel = votes.locatePoint(d_m, 1.0, FloorBand());
-    ASSERT_GE(voxel, 0);
+    ASSERT_GT(voxel, FrameVotes::kNoVoxel);
     ASSERT_TRUE(voxels[i] == voxel || voxels[i] == FrameVotes::kUndecided);
-    VoxelTally& tally = votes.touch(voxel);
-    tally.n_pixels[kSafeVote] = pixels[i].n_safe;
-    tally.n_pixels[kUnsafeVote] = pixels[i].n_unsafe;
-    tally.n_pixels[kMetricVote] = pixels[i].n_metric;
-    tally.cause[kUnsafeVote] = 1;
-    tally.cause[kMetricVote] = pixels[i].metric_cause;
+    FrameVotes::RowCounter counter(&votes, 3);
+    counter.add(voxel, kSafeVote, pixels[i].n_safe, kNoCause);
+    counter.add(voxel, kUnsafeVote, pixels[i].n_unsafe, 1);
+    counter.add(voxel, kMetricVote, pixels[i].n_metric, pixels[i].metric_cause);
   }
   map->add(votes, causes);
 }
@@ -455,7 +453,7 @@ TEST(VoteMap, cause_is_that_of_the_first_unsafe_voxel_or_of_the_last_metric_one)
     for (size_t i = 0; i < kinds.size(); ++i) {
       const double dz_m = 0.4 - 0.2 * static_cast<double>(i);  // down through the border of a block
       const int32_t voxel = votes.locatePoint({0.0, 0.0, dz_m}, 1.0, FloorBand());
-      votes.add(voxel, kinds[i], 9, static_cast<uint16_t>(i));
+      FrameVotes::RowCounter(&votes, 1).add(voxel, kinds[i], 9, static_cast<uint16_t>(i));
     }
     map.add(votes);
     return map.find(0, 0)->cause;

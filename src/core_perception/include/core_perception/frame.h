@@ -2,6 +2,7 @@
 #pragma once
 
 #include <Eigen/Geometry>
+#include <boost/align/aligned_allocator.hpp>
 #include <cstdint>
 #include <opencv2/core.hpp>
 #include <string>
@@ -56,6 +57,10 @@ void checkFrame(const Frame& frame);
 constexpr int kBlock_px = 16;
 inline int blockBegin(int pixel) { return pixel & ~(kBlock_px - 1); }
 inline int blockEnd(int pixel) { return blockBegin(pixel + kBlock_px - 1); }
+
+/// A value for every pixel of a row; a block of floats lies within one line of the cache.
+template <typename T>
+using PixelRow = std::vector<T, boost::alignment::aligned_allocator<T, kBlock_px * sizeof(float)>>;
 
 /// Pixels around a depth image that may be read too, and hold 0.
 constexpr int kDepthMargin_px = 2;

@@ -35,6 +35,16 @@ struct VoxelTally {
   uint32_t n_metric() const { return n_pixels[kMetricVote]; }
 };
 
+/// Tallies that lie one after the other.
+struct Tallies {
+  const VoxelTally *first, *last;
+
+  const VoxelTally* begin() const { return first; }
+  const VoxelTally* end() const { return last; }
+  size_t size() const { return static_cast<size_t>(last - first); }
+  const VoxelTally& operator[](size_t i) const { return first[i]; }
+};
+
 /// Points at the height of the floor. Noise must not spread them over two layers of voxels.
 ///
 ///     min_height_m <= height < metric_min_height_m + metric_slope depth
@@ -56,41 +66,61 @@ class FrameVotes {
   /// Empties it and moves it around a camera of this reach.
   void start(const Eigen::Vector3d& p_map_camera, double reach_m);
 
-  /// Voxels of the points of a row, as touch() takes them. Entries outside the row's [first, end)
-  /// are stale. Single precision: a point too near to the border of a voxel is left undecided.
+  /// Voxels of the points of a row, as RowCounter takes them. Entries outside the row's [first,
+  /// end) are stale. Single precision: a point too near to the border of a voxel is left undecided.
   /// @param floor points of the floor, all of which are put into one layer.
-  void locate(const PointRow& row, const FloorBand& floor, std::vector<int32_t>* voxels) const;
+  void locate(const PointRow& row, const FloorBand& floor, PixelRow<int32_t>* voxels) const;
   /// The same for one point, in double precision; never kUndecided.
   int32_t locatePoint(const Eigen::Vector3d& d_m, double depth_m, const FloorBand& floor) const;
-  static constexpr int32_t kNoVoxel = -1;    ///< no point, or one outside the volume
-  static constexpr int32_t kUndecided = -2;  ///< to be given to locatePoint
-  /// Tally of a voxel that locate() found. The next call may move it.
-  VoxelTally& touch(int32_t voxel) {
-    uint32_t& number = numbers_[voxel];
-    if (number == 0) {
-      tallies_.emplace_back();
-      tallies_.back().voxel = voxel;
-      number = static_cast<uint32_t>(tallies_.size());
+  static constexpr int32_t kNoVoxel = 0;     ///< no point, or one outside the volume
+  static constexpr int32_t kUndecided = -1;  ///< to be given to locatePoint
+
+  /// Counts the pixels of a row. While it lives nothing else may be done with the FrameVotes.
+  class RowCounter {
+   public:
+    /// @param most_adds of add() that will be called.
+    RowCounter(FrameVotes* votes, size_t most_adds) : votes_(votes) {
+      const size_t most_tallies = votes->n_tallies_ + most_adds;
+      if (most_tallies > votes->tallies_.size()) votes->tallies_.resize(2 * most_tallies);
+      n_tallies_ = votes->n_tallies_;
+      numbers_ = votes->numbers_.data();
+      tallies_ = votes->tallies_.data();
     }
-    return tallies_[number - 1];
-  }
-  /// Counts pixels in a voxel that locate() found; kNoVoxel: nowhere.
-  void add(int32_t voxel, VoteKind kind, uint32_t n_pixels, uint16_t cause) {
-    if (voxel == kNoVoxel) return;
-    VoxelTally& tally = touch(voxel);
-    tally.n_pixels[kind] += n_pixels;
-    tally.cause[kind] = cause;
-  }
+    ~RowCounter() { votes_->n_tallies_ = n_tallies_; }
+    RowCounter(const RowCounter&) = delete;
+    RowCounter& operator=(const RowCounter&) = delete;
+
+    /// Counts pixels in a voxel that locate() found. Which of them are new, and which pixels have
+    /// none (kNoVoxel has a tally of its own), the processor cannot foresee: nothing branches on
+    /// it.
+    void add(int32_t voxel, VoteKind kind, uint32_t n_pixels, uint16_t cause) {
+      const uint32_t known = numbers_[voxel];
+      n_tallies_ += static_cast<uint32_t>(known == 0);
+      const uint32_t number = known == 0 ? n_tallies_ : known;
+      numbers_[voxel] = number;
+      VoxelTally& tally = tallies_[number - 1];
+      tally.voxel = voxel;
+      tally.n_pixels[kind] += n_pixels;
+      tally.cause[kind] = cause;
+    }
+
+   private:
+    FrameVotes* votes_;
+    uint32_t n_tallies_;
+    uint32_t* numbers_;
+    VoxelTally* tallies_;
+  };
   int layers() const { return layers_; }
   /// Layer of a height in the fixed frame.
   int layerOf(double z_m) const;
 
   /// Of every voxel that was touched, in the order of their first points.
-  const std::vector<VoxelTally>& tallies() const { return tallies_; }
+  Tallies tallies() const { return {tallies_.data() + 1, tallies_.data() + n_tallies_}; }
+  /// @param voxel not kNoVoxel.
   VoxelIndex indexOf(int32_t voxel) const {
-    const int mask = (1 << width_bits_) - 1;
-    return {origin_.x + (voxel & mask), origin_.y + (voxel >> width_bits_ & mask),
-            origin_.z + (voxel >> 2 * width_bits_)};
+    const int mask = (1 << width_bits_) - 1, cell = voxel - 1;
+    return {origin_.x + (cell & mask), origin_.y + (cell >> width_bits_ & mask),
+            origin_.z + (cell >> 2 * width_bits_)};
   }
   /// Tally of a voxel, or nullptr when no point of this frame fell into it.
   const VoxelTally* find(const VoxelIndex& voxel) const;
@@ -102,7 +132,7 @@ class FrameVotes {
   }
   /// x, y, z from the volume's corner.
   int32_t indexOfCell(int x, int y, int z) const {
-    return (((z << width_bits_) + y) << width_bits_) + x;
+    return (((z << width_bits_) + y) << width_bits_) + x + 1;
   }
 
   double resolution_m_;
@@ -111,8 +141,9 @@ class FrameVotes {
   int width_bits_ = 0;  ///< the volume is 2^width_bits_ voxels wide and deep
   int layers_ = 0;
   Eigen::Vector3d offset_ = Eigen::Vector3d::Zero();  ///< camera in cells, from the volume's corner
-  std::vector<uint32_t> numbers_;  ///< of a voxel: 1 + index of its tally, 0 for none
-  std::vector<VoxelTally> tallies_;
+  std::vector<uint32_t> numbers_;    ///< of a voxel: 1 + index of its tally, 0 for none
+  std::vector<VoxelTally> tallies_;  ///< the first is that of kNoVoxel; from n_tallies_ on empty
+  uint32_t n_tallies_ = 1;
 };
 
 }  // namespace core_perception

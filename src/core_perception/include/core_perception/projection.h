@@ -13,12 +13,11 @@ namespace core_perception {
 /// The points of one row of pixels relative to the camera, along the axes of the fixed frame [m].
 /// As arrays by coordinate, so that compilers make vector instructions of the loops over them.
 struct PointRow {
-  std::vector<float> depth_m;  ///< 0 where the pixel gives no point
-  std::vector<float> dx_m, dy_m, dz_m;
+  PixelRow<float> depth_m;  ///< 0 where the pixel gives no point
+  PixelRow<float> dx_m, dy_m, dz_m;
   /// Makes room for so many pixels, in whole blocks.
   void resize(int width) {
-    for (std::vector<float>* array : {&depth_m, &dx_m, &dy_m, &dz_m})
-      array->resize(blockEnd(width));
+    for (PixelRow<float>* array : {&depth_m, &dx_m, &dy_m, &dz_m}) array->resize(blockEnd(width));
   }
   int first = 0, end = 0;  ///< of all others no entry is valid; empty where no pixel gives a point
 };
@@ -75,8 +74,8 @@ class Projection {
   float camera_height_m_, range_min_m_, range_max_m_, metric_min_height_m_, metric_slope_,
       edge_factor_;
   double reach_m_;
-  std::vector<float> column_x_, column_y_, column_z_;  ///< part of the ray that a column shares
-  std::vector<Eigen::Vector3f> row_;                   ///< the other, with the optical axis in it
+  PixelRow<float> column_x_, column_y_, column_z_;  ///< part of the ray that a column shares
+  std::vector<Eigen::Vector3f> row_;                ///< the other, with the optical axis in it
 };
 
 }  // namespace core_perception

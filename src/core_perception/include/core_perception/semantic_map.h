@@ -92,7 +92,7 @@ class SemanticMap {
   /// @param region see ImageRegions, kNoRegion without image operators.
   /// @param metric see findMetric.
   PixelVote makeVote(uint16_t label, uint8_t region, uint8_t metric) const;
-  int splitRow(const uint16_t* labels, const uint8_t* regions);
+  void findRuns(const uint16_t* labels, const uint8_t* regions);
   void nameRules();
   static constexpr uint8_t kObstacle = 1, kDrop = 2;  ///< of findMetric
   int32_t locateExactly(const Frame& frame, const Projection& projection, const FloorBand& floor,
@@ -124,10 +124,9 @@ class SemanticMap {
   /// Cause by region of the image operators; kNoCause where the label tells it.
   std::array<uint16_t, kSafeRegion + 1> region_causes_;
   PointRow row_;
-  std::vector<int32_t> voxels_;             ///< of the points of row_
-  std::vector<uint8_t> metric_;             ///< where they lie, see findMetric
-  std::vector<uint8_t> differs_, changes_;  ///< see splitRow
-  std::vector<int> run_starts_;             ///< runs of row_, and its end
+  PixelRow<int32_t> voxels_;             ///< of the points of row_
+  PixelRow<uint8_t> metric_;             ///< where they lie, see findMetric
+  PixelRow<uint8_t> differs_, changes_;  ///< see findRuns
 };
 
 }  // namespace core_perception
