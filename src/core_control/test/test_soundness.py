@@ -28,6 +28,11 @@ def test_core_is_never_in_a_cell_it_could_have_kept_out_of(case):
     assert tally.passed > 0.2 * tally.steps
 
 
+def test_a_hazard_that_appears_as_near_as_the_discs_reach_is_not_entered_by_a_corner_of_the_body():
+    # Stopping brings the discs into the cell but not the body; no deeper for the discs was in for the body.
+    assert run_episode("revealed_map", "core", 1439).avoidable_violating_steps == 0
+
+
 def test_the_papers_form_is_found_to_violate():
     assert run("point", "paper", episodes=10).violating_steps > 0
     assert run("footprint", "paper").violating_steps > 0

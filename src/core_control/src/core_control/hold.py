@@ -44,9 +44,9 @@ class HoldKeeper:
         self._underfoot = Underfoot(params, self._body)
         self._escape = Escape(params, self._body.reach_m)
         self._vouched = False
-        # Half of what any point of the footprint travels between two samples of a roll-out.
-        reach_mps = np.hypot(*params.limits[:2]) + params.limits[2] * self._body.reach_m
-        self._grow_m = 0.5 * reach_mps * SAMPLE_S
+        # Most that any point of the footprint travels, and half of it between two samples of a roll-out.
+        self._reach_mps = np.hypot(*params.limits[:2]) + params.limits[2] * self._body.reach_m
+        self._grow_m = 0.5 * self._reach_mps * SAMPLE_S
 
     def reset(self) -> None:
         """Forget what is known of the ground under the robot; what an operator saw to stays so."""
@@ -144,7 +144,7 @@ class HoldKeeper:
     def _choose(self, situation: Situation) -> Proposal:
         before, cap = self._profile.rest, copy.copy(situation.cap)
         proposal = self._profile.propose(situation)
-        if proposal.clearance.h_m < 0.0 and self._enters(situation, proposal.u, within_region=True):
+        if self._comes_inside(situation, proposal.clearance.h_m) and self._enters(situation, proposal.u, True):
             proposal = self._refuse(proposal)
         if not len(self._underfoot) or np.array_equal(proposal.u, situation.u_nominal):
             return proposal
@@ -166,6 +166,18 @@ class HoldKeeper:
     @staticmethod
     def _refuse(proposal: Proposal) -> Proposal:
         return replace(proposal, u=np.zeros(3), scale=0.0, note="the body would enter another unsafe cell")
+
+    def _comes_inside(self, situation: Situation, h_m: float) -> bool:
+        """Whether the discs are inside unsafe cells, or will be before the robot stands: a hazard that appeared late.
+
+        Discs reach beyond the body: that they go no deeper than by stopping does not keep its corners out.
+        """
+        speed_mps = np.hypot(*situation.twist[:2]) + abs(situation.twist[2]) * self._body.reach_m
+        stop_m = max(speed_mps, self._reach_mps) * (self._params.lag_s + self._params.delay_s)
+        if h_m < 0.0 or h_m > stop_m + self._grow_m:
+            return h_m < 0.0
+        start = (situation.pose, situation.twist, situation.pending)
+        return self._profile.roll_out.compute_clearance(situation.field, start, np.zeros(3)) < self._grow_m
 
     def _enters(self, situation: Situation, u: np.ndarray, within_region: bool) -> bool:
         """Whether the body would come to overlap an unsafe cell that it does not overlap now, nor by stopping.

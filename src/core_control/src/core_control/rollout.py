@@ -85,14 +85,14 @@ class RollOut:
         return 0.0
 
     def _keeps_clear(self, field: SafetyField, start: Start, u: np.ndarray) -> bool:
-        clearance_m = self._compute_clearance(field, start, u)
+        clearance_m = self.compute_clearance(field, start, u)
         if clearance_m >= self._needed_m:
             return True
-        stop_m = self._compute_clearance(field, start, np.zeros(3))
+        stop_m = self.compute_clearance(field, start, np.zeros(3))
         return clearance_m >= min(self._needed_m, stop_m) - ROUNDING_M
 
-    def _compute_clearance(self, field: SafetyField, start: Start, u: np.ndarray) -> float:
-        """Smallest clearance of the samples [m]; +inf where nothing unsafe is as near as matters."""
+    def compute_clearance(self, field: SafetyField, start: Start, u: np.ndarray) -> float:
+        """Smallest clearance of the samples of a command and a stop [m]; +inf where nothing unsafe is near."""
         pose = start[0]
         poses = np.concatenate([pose[None], self.predict(*start, u)])
         way_m = float(np.max(np.hypot(poses[:, 0] - pose[0], poses[:, 1] - pose[1])))
