@@ -32,9 +32,8 @@ void VoteMap::add(const FrameVotes& votes, const CauseTable& causes) {
   ++version_;
   derived_.clear();
   forgetMovedLeaves();
-  sortByBlock(votes);
   const Tallies tallies = votes.tallies();
-  for (const uint32_t i : sorted_) {
+  for (uint32_t i = 0; i < tallies.size(); ++i) {
     const VoxelTally& tally = tallies[i];
     addToVoxel(votes.indexOf(tally.voxel), tally, i, causes);
   }
@@ -48,29 +47,6 @@ void VoteMap::forgetMovedLeaves() {
   for (auto& tile : tiles_) {
     for (BandVoxel& voxel : tile.second->band) voxel.leaf = nullptr;
   }
-}
-
-/// The path from one voxel to the next through the tree is short within a block. Counting sort; of
-/// the blocks' indices the last digits are enough.
-void VoteMap::sortByBlock(const FrameVotes& votes) {
-  constexpr int kBlock = 1 << (16 - SemanticOcTree::kBlockDepth);
-  constexpr unsigned kDigits = 8;
-  const auto digit = [](int index) {
-    return static_cast<unsigned>(floorTo<kBlock>(index)) % kDigits;
-  };
-  const Tallies tallies = votes.tallies();
-  blocks_.resize(tallies.size());
-  sorted_.resize(tallies.size());
-  uint32_t ends[kDigits * kDigits * kDigits + 1] = {};
-  for (size_t i = 0; i < tallies.size(); ++i) {
-    const VoxelIndex voxel = votes.indexOf(tallies[i].voxel);
-    const unsigned block = (digit(voxel.x) * kDigits + digit(voxel.y)) * kDigits + digit(voxel.z);
-    blocks_[i] = static_cast<uint16_t>(block);
-    ++ends[block + 1];
-  }
-  for (size_t i = 1; i < sizeof(ends) / sizeof(ends[0]); ++i) ends[i] += ends[i - 1];
-  for (size_t i = 0; i < tallies.size(); ++i)
-    sorted_[ends[blocks_[i]]++] = static_cast<uint32_t>(i);
 }
 
 /// @param number of the tally in the frame.

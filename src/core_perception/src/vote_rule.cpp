@@ -1,42 +1,10 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "core_perception/vote_rule.h"
 
-#include <algorithm>
-#include <limits>
-
 namespace core_perception {
-namespace {
-
-uint32_t addSaturated(uint32_t a, uint32_t b) {
-  const uint64_t sum = static_cast<uint64_t>(a) + b;
-  return static_cast<uint32_t>(std::min<uint64_t>(sum, std::numeric_limits<uint32_t>::max()));
-}
-
-}  // namespace
 
 bool isSafe(const Counts& counts, double tau) {
   return static_cast<double>(counts.n_safe) >= tau * static_cast<double>(counts.total());
-}
-
-bool isWorse(const Counts& a, const Counts& b) {
-  // a_s / a_total < b_s / b_total  <=>  a_s b_u < b_s a_u
-  const uint64_t left = static_cast<uint64_t>(a.n_safe) * b.n_unsafe;
-  const uint64_t right = static_cast<uint64_t>(b.n_safe) * a.n_unsafe;
-  return left < right || (left == right && a.total() > b.total());
-}
-
-void addVotes(uint32_t n_safe, uint32_t n_unsafe, Counts* counts) {
-  counts->n_safe = addSaturated(counts->n_safe, n_safe);
-  counts->n_unsafe = addSaturated(counts->n_unsafe, n_unsafe);
-}
-
-void joinColumn(const Counts& voxel, bool sum, Counts* column) {
-  if (voxel.empty()) return;
-  if (sum) {
-    addVotes(voxel.n_safe, voxel.n_unsafe, column);
-  } else if (column->empty() || isWorse(voxel, *column)) {
-    *column = voxel;
-  }
 }
 
 void addFrameVote(bool safe, uint32_t cap, Counts* counts) {

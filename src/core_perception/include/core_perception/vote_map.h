@@ -126,7 +126,6 @@ class VoteMap {
   /// Place of a voxel of the band, noted in its column as touched.
   BandVoxel& touchBand(const VoxelIndex& voxel, const Place& place);
   void forgetMovedLeaves();
-  void sortByBlock(const FrameVotes& votes);
   void addToVoxel(const VoxelIndex& voxel, const VoxelTally& tally, uint32_t number,
                   const CauseTable& causes);
   bool isMetric(const VoxelTally& tally) const;
@@ -152,9 +151,7 @@ class VoteMap {
     Tile* tile = nullptr;
   };
   mutable NearTile near_[kNear * kNear];
-  std::vector<Place> derived_;    ///< columns to derive at the end of a frame
-  std::vector<uint16_t> blocks_;  ///< of the tallies of the frame, see sortByBlock
-  std::vector<uint32_t> sorted_;  ///< tallies of the frame, by block of the tree
+  std::vector<Place> derived_;  ///< columns to derive at the end of a frame
   MobileVotes mobile_;
   uint32_t frame_ = 0;
   uint64_t version_ = 0;
