@@ -731,6 +731,7 @@ def test_a_server_that_is_killed_and_comes_back_answers_again():
         thread, outcome = in_background(lambda: ask(client))
         wait_for(lambda: len([e for e in control(url, "/_log") if e.get("has_messages")]) == 2)
         running.kill()
+        running.wait()  # until then its socket may still listen
         thread.join(3.0)
         assert outcome[0].cause == "disconnected"
         assert cause_of(client) == "refused"
